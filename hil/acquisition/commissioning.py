@@ -1,7 +1,7 @@
-"""The outcome of `hil doctor --commission`, kept for each drive, and the torque that a run may use because of it.
+"""The result of `hil doctor --commission`, kept for each drive, and the torque that a run may use because of it.
 
-A drive that was not tried within 30 days, or was tried with another firmware or watchdog, gets half of its stand's
-torque limit. One that did not release its torque is not driven, unless the stand file accepts that.
+A drive that was not tested within 30 days, or was tested with another firmware or watchdog, gets half of its stand's
+torque limit. A drive that did not release its torque in the test is refused, unless the stand file accepts it.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from hil.errors import WrongUse
 from hil.stand.file import Stand
 
 DAYS = 30.0
-"""For which an outcome holds."""
+"""The number of days for which a result is valid."""
 SHARE = 0.5
-"""Of the torque limit, for a drive that is not commissioned."""
+"""The fraction of the torque limit that a drive without commissioning may use."""
 NOTHING_TURNS = frozenset({"sim", "replay"})
-"""Backends that need no commissioning."""
+"""Backends without a real motor, which need no commissioning."""
 _DAY = 86400.0
 
 
 @dataclass(frozen=True, slots=True)
 class Commissioning:
-    """How a drive stopped when it was tried.
+    """How a drive stopped in the test.
 
-    time: s since 1970. firmware, watchdog (s): those that were tried. releases: whether it switched its torque off by
-    itself after silence. guardian, second_signal: whether these switched it off; guardian is None where there is none.
+    time: s since 1970. firmware, watchdog (s): those tested. releases: whether the drive switched its torque off by
+    itself when commands stopped. guardian, second_signal: whether these switched it off; guardian is None if there was
+    none.
     """
 
     time: float
@@ -45,16 +46,16 @@ class Commissioning:
 
     @property
     def until(self) -> str:
-        """The day up to which it holds, ISO 8601."""
+        """Return the last day on which the result is valid, ISO 8601."""
         return datetime.fromtimestamp(self.time + DAYS * _DAY, UTC).date().isoformat()
 
     @property
     def stops_ours(self) -> bool:
-        """Whether everything stopped it that is not its own watchdog."""
+        """Return whether everything except the drive's own watchdog stopped it."""
         return self.second_signal and self.guardian is not False
 
     def keep(self, info: ServoInfo, mode: Quantity) -> Path:
-        """Keep the outcome for the drive `info` in `mode`; return the file. Raises WrongUse."""
+        """Store the result for the drive `info` in `mode`; return the file. Raises WrongUse."""
         memory = _memory(info, mode)
         memory.keep(asdict(self))
         return memory.path
@@ -66,7 +67,7 @@ def _memory(info: ServoInfo, mode: Quantity) -> DriveMemory:
 
 
 def identity(info: ServoInfo) -> str:
-    """Return the words by which an outcome is kept for a drive."""
+    """Return the words under which a drive's result is stored."""
     if info.serial and not info.serial_is_id:
         return f"{info.backend} {info.model}, serial number {info.serial}"
     words = [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}" if info.firmware else ""]
@@ -75,7 +76,7 @@ def identity(info: ServoInfo) -> str:
 
 
 def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
-    """Return the outcome that holds for the drive today, None without one, or where its file cannot be used."""
+    """Return the result that is valid for the drive today; None if there is none or its file is unusable."""
     with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
         kept = _memory(info, mode).load() or {}
         found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
@@ -88,10 +89,10 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
 
 
 def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, list[Diagnostic]]:
-    """Return the stand with the torque limit that a run of `profile` may use, and a warning where that is half.
+    """Return the stand with the torque limit for a run of `profile`, and a warning if that is half of the stand's.
 
-    Raises WrongUse where the drive did not release its torque and the stand file does not accept that, and for a
-    profile beyond the half.
+    Raises WrongUse if the drive did not release its torque and the stand file does not accept that, and for a profile
+    beyond the limit.
     """
     if info.backend in NOTHING_TURNS or stand.stand.backend in NOTHING_TURNS:
         return stand, []
@@ -122,5 +123,5 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
 
 
 def with_torque_limit(stand: Stand, torque: float) -> Stand:
-    """Return the stand with another limit of the torque, N m at the joint. Raises WrongUse where it sets no limits."""
+    """Return the stand with another torque limit, N m at the joint. Raises WrongUse if it sets no limits."""
     return replace(stand, limits=stand.checked_limits().model_copy(update={"torque": torque}))

@@ -1,4 +1,4 @@
-"""What is known of one drive between two runs: a small file in the user's folder for state."""
+"""Facts about one drive that are kept between runs, in a small file in the user's state folder."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _LARGEST = 4096  # bytes of a file
 
 
 class DriveMemory:
-    """A file of `kind` for the drive `info`; also: words that tell it from other files of this drive.
+    """A file of `kind` for the drive `info`; also: words that distinguish it from other files of this drive.
 
-    path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse for a user who has no folder for it.
+    path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse for a user without a folder for it.
     """
 
     def __init__(self, kind: str, info: ServoInfo, *also: str) -> None:
@@ -28,7 +28,7 @@ class DriveMemory:
         self.path = _state_folder() / "hil" / kind / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', words)}.json"
 
     def load(self) -> dict[str, Any] | None:
-        """Return what was kept, None where nothing was. Raises WrongUse, ValueError where it cannot be read."""
+        """Return what was stored, None if nothing was. Raises WrongUse, ValueError if it cannot be read."""
         try:
             self.path.stat()
         except (FileNotFoundError, NotADirectoryError):
@@ -41,7 +41,7 @@ class DriveMemory:
         return kept
 
     def keep(self, fields: Mapping[str, Any]) -> None:
-        """Keep `fields` in place of what was kept. Raises WrongUse."""
+        """Store `fields` in place of what was stored. Raises WrongUse."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path, force=True) as fresh:
@@ -55,7 +55,9 @@ class DriveMemory:
 
 
 def _state_folder() -> Path:
-    """Return the user's folder for state; one that depended on the working directory would forget a hot motor."""
+    """Return the user's state folder. It must not depend on the working directory, or a hot motor would be
+    forgotten.
+    """
     asked = Path(os.environ.get("XDG_STATE_HOME", ""))
     try:
         folder = asked if asked.is_absolute() else Path.home() / ".local" / "state"

@@ -1,7 +1,7 @@
 """Excitations: set-points at the joint as a function of time.
 
-A profile is a pure function of time, so a run of any length is made block by block. Amplitudes are at the joint:
-N m in the coupling for torque, rad of deflection for position. A new kind is one sampler and one line in EXCITATIONS.
+A profile is a pure function of time, so a run of any length is computed block by block. Amplitudes are at the joint: N
+m in the coupling for torque, rad of deflection for position. A new kind is one sampler and one line in EXCITATIONS.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from hil.recording.input import read_text
 
 Array = NDArray[np.float64]
 Shape = Callable[[Array], Array]
-"""Set-points of amplitude one at times (n,) s."""
+"""A function that returns set-points of amplitude one at times (n,), s."""
 Sampler = Callable[[tuple[float, float], float, int], Shape]
-"""Makes the shape from the band (Hz), the duration (s) and the seed."""
+"""A function that makes the shape from the band (Hz), the duration (s) and the seed."""
 
 _EDGE = 0.02  # s; a torque step through a cable is eased over this long, so that the cable does not whip
 _SHORTEST_FADE = 0.1  # s
@@ -41,11 +41,11 @@ class Excitation:
     """One kind of excitation.
 
     explanation: a line for --list-profiles. band: the default, Hz. sampler: None follows the CSV of --setpoints.
-    smooth: whether its derivatives exist, so that its band says how finely it must be sampled. speeds: at how many
-    speeds it drives the joint: at one, at as many as its band is wide, or at many whatever its band.
-    one_frequency: whether both ends of its band must be the same. from_zero: whether its spectrum begins at zero
-    whatever its band. searched: whether `hil design` may propose it; the search varies the lower end of its band,
-    unless from_zero, and the upper end.
+    smooth: whether its derivatives exist, so that its band determines how finely it must be sampled. speeds: at how
+    many speeds it drives the joint: at one, at as many as its band is wide, or at many for any band. one_frequency:
+    whether both ends of its band must be equal. from_zero: whether its spectrum begins at zero for any band. searched:
+    whether `hil design` may propose it; the search varies the upper end of its band and, unless from_zero, the lower
+    end.
     """
 
     explanation: str
@@ -79,7 +79,7 @@ class Profile:
 
     @property
     def excitation(self) -> Excitation:
-        """The record of its kind."""
+        """Return the record of its kind."""
         return EXCITATIONS[self.kind]
 
     def at(self, time: Array) -> Array:
@@ -91,7 +91,7 @@ class Profile:
         return np.where(inside, self.amplitude * envelope * self.shape(clipped), 0.0)
 
     def attributes(self) -> dict[str, str | float]:
-        """Return the attributes of the recording's /profile group, from which the profile can be made again."""
+        """Return the attributes of the recording's /profile group, from which the profile can be computed again."""
         return {
             "kind": self.kind,
             "mode": self.mode.value,

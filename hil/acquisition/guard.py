@@ -1,4 +1,4 @@
-"""The guard ends a run early: a limit is exceeded, a sensor is missing or not plausible, or the link is silent."""
+"""The guard ends a run early if a limit is exceeded, a sensor is missing or implausible, or the link is silent."""
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ _LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the r
 
 
 def longest_silence() -> float:
-    """Return the s without a set-point after which the guardian acts: just before a late tick would end the run."""
+    """Return the time without a set-point, s, after which the guardian acts: just before a late tick would end the
+    run.
+    """
     return 0.9 * _LATE_OFF
 
 
 class Guard:
     """The check of every sample of a run against the limits.
 
-    moves: N m at the joint by which the torque cannot change without the motor turning. more: limits of this run.
+    moves: the change of torque at the joint, N m, that is impossible unless the motor turns. more: limits of this run.
     """
 
     def __init__(self, limits: LimitsTable, moves: float, more: Sequence[Limit] = ()) -> None:
@@ -56,12 +58,12 @@ class Guard:
         self._lost_in_row = 0
 
     def check_start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """Take the readings at rest. Raises LimitReached where the run must not begin."""
+        """Take the readings at rest. Raises LimitReached if the run must not begin."""
         for limit in self.limits:
             limit.start(samples, at_joint)
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """Check one reply. Raises LimitReached, and BadReply where the readings are not reliable any more."""
+        """Check one reply. Raises LimitReached, and BadReply if the readings are no longer reliable."""
         self._last_reply = sample.t
         self._lost_in_row = 0
         for check in self._checks:
@@ -80,11 +82,11 @@ class Guard:
             )
 
     def check_late(self, late: float, waited: float) -> str:
-        """Return the reason to ramp down for a tick `late` s more than a period after the one before, "" without one.
+        """Return the reason to ramp down for a tick that is `late` s behind its time, "" without one.
 
-        waited: s of them that the drive took to answer the one before. They are silence of the link, which has a limit
-        of its own, and not lateness of this computer. Raises LimitReached where it is so late that the torque must go
-        off at once.
+        late: the time since the previous tick less one period. waited: the part of it, s, in which the drive answered
+        the previous tick; this is silence of the link, which has a limit of its own, and not lateness of this computer.
+        Raises LimitReached if it is so late that the torque must be switched off at once.
         """
         if late <= _LATE_RAMP or late <= min(_SILENCE, _LATE_RAMP + waited):
             return ""
@@ -98,7 +100,7 @@ class Guard:
         return message
 
     def check_silence(self, now: float) -> None:
-        """Count a lost reply at `now` s. Raises NoReply once the link has been silent for too long."""
+        """Count a lost reply at `now` s. Raises NoReply if the link has been silent for too long."""
         self._lost_in_row += 1
         silent = now - self._last_reply
         if self._lost_in_row >= _REPEATS and not silent < _SILENCE:

@@ -1,8 +1,8 @@
-"""The heat budget of a run: the winding's temperature is predicted before it, and estimated while it lasts.
+"""The heat limit of a run: the winding's temperature is predicted before the run, and estimated while it lasts.
 
-The estimate needs no temperature sensor, and so ends a run in time where that is stale. It outlives the process in a
-file for each drive, and cools down with the time that has passed: since the last start of the computer by a clock that
-nobody sets, before it by the time of day.
+The estimate needs no temperature sensor, so it ends a run in time even if that sensor is stale. It is kept between
+processes in a file for each drive, and cooled down by the time that has passed: since the last start of the computer by
+a clock that nobody sets, before that by the time of day.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _HOTTEST = 1000.0  # degC that a state file may state
 
 
 class TooHot(LimitReached):
-    """A run is refused, and nothing was driven. rest: s after which it may begin; infinite where a cold motor is too
-    small for it.
+    """A run is refused before anything moves. rest: time, s, after which it may begin; infinite if even a cold motor
+    would get too hot.
     """
 
     def __init__(self, message: str, rest: float) -> None:
@@ -42,14 +42,14 @@ class TooHot(LimitReached):
 class HeatMemory:
     """The winding's temperature between two runs of the drive `info`.
 
-    Raises WrongUse where its file cannot be read or written.
+    Raises WrongUse if its file cannot be read or written.
     """
 
     def __init__(self, info: ServoInfo) -> None:
         self._memory = DriveMemory("heat", info)
 
     def load(self, model: WindingModel, now: float) -> Temperatures:
-        """Return the temperatures at `now`, s since 1970: those of the last run, cooled down since."""
+        """Return the temperatures at `now`, s since 1970: those after the last run, cooled down since."""
         try:
             kept = self._memory.load()
             if kept is None:
@@ -68,17 +68,17 @@ class HeatMemory:
         return model.after(state, 0.0, max(0.0, rested))
 
     def keep(self, state: Temperatures, at: float) -> None:
-        """Keep the temperatures at `at`, s since 1970. Raises WrongUse."""
+        """Store the temperatures at `at`, s since 1970. Raises WrongUse."""
         boot, awake = since_boot()
         times = {"time": at, "boot": boot, "since_boot": awake + at - time.time()}
         self._memory.keep(times | {"winding_degC": state.winding, "case_degC": state.case})
 
 
 class WindingHeat:
-    """The limit on the winding's estimated temperature. limit: degC. gear: motor turns a joint turn.
+    """The limit on the winding's estimated temperature. limit: degC. gear: motor turns for one joint turn.
 
-    planned: mean squares of the torques to come at the motor shaft, (N m)^2, each for `_STEP * _BLOCK` s. longest: N m,
-    the torque that counts where none is measured. amplitude: of the profile, N m at the joint. memory: None for a
+    planned: mean squares of the torques to come at the motor shaft, (N m)^2, each for `_STEP * _BLOCK` s. longest: the
+    torque, N m, that is assumed if none is measured. amplitude: of the profile, N m at the joint. memory: None for a
     simulated motor, which is cold.
     """
 
@@ -128,21 +128,22 @@ class WindingHeat:
             )
 
     def keep(self) -> None:
-        """Keep the temperatures for the next run; nothing where this one never began. Raises WrongUse."""
+        """Store the temperatures for the next run; nothing if this one never began. Raises WrongUse."""
         if self._memory is not None and math.isfinite(self._t):
             self._memory.keep(self.state, time.time())
 
     def _predicted(self) -> Temperatures:
-        """Return the temperatures at the end of the run. Raises TooHot where they would be too high."""
+        """Return the temperatures at the end of the run. Raises TooHot if they would be too high."""
         end, after = self._driven(self.state)
         if after is not None:
             self._refuse(after)
         return end
 
     def _driven(self, state: Temperatures, share: float = 1.0) -> tuple[Temperatures, float | None]:
-        """The temperatures at the end of a run that begins at `state`; and when they would be too high, s, or None.
+        """Return the temperatures at the end of a run that begins at `state`, and when they would be too high, s, or
+        None.
 
-        share: of the torque.
+        share: the factor on the torque.
         """
         for block, square in enumerate(self._planned):
             state = self._model.after(state, share * share * square, _STEP * _BLOCK)
@@ -151,7 +152,7 @@ class WindingHeat:
         return state, None
 
     def _rest(self) -> float:
-        """How long the motor must rest before the run, s; infinite where it is too much for a cold one."""
+        """Return how long the motor must rest before the run, s; infinite if the run is too much for a cold motor."""
         if self._driven(self._model.cold)[1] is not None:
             return math.inf
         short, enough = 0.0, 1.0
@@ -175,13 +176,13 @@ class WindingHeat:
         )
 
     def _remedies(self, after: float) -> list[str]:
-        """Return what to add to the command so that it fits: the longest duration, the largest amplitude."""
+        """Return the options with which the run would be allowed: the longest duration, the largest amplitude."""
         duration, amplitude = _SPARE * after, _SPARE * self._amplitude * self._share_that_fits()
         shorter = [f"add --duration {_rounded_down(duration)}"] if duration >= _SHORTEST else []
         return [*shorter, f"add --amplitude {_rounded_down(amplitude)}" if amplitude > 0.0 else "wait longer"]
 
     def _share_that_fits(self) -> float:
-        """Return the share of the torque, below 1, with which the whole run fits."""
+        """Return the factor on the torque, below 1, with which the whole run is allowed."""
         low, high = 0.0, 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
@@ -191,15 +192,15 @@ class WindingHeat:
 
 
 def _rounded_down(value: float) -> str:
-    """Return a number above 0 with two digits that is no larger."""
+    """Return a positive number rounded down to two digits."""
     unit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.floor(value / unit + 1e-9) * unit:.2g}" if value < 100.0 else f"{math.floor(value)}"
 
 
 def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat | None:
-    """Return the limit for a run of `profile`, None where the stand has no [winding].
+    """Return the heat limit for a run of `profile`, None if the stand has no [winding].
 
-    A profile of positions cannot be predicted; its heat is estimated while it runs.
+    The torque of a profile of positions cannot be predicted; its heat is only estimated while it runs.
     """
     if stand.winding is None:
         return None

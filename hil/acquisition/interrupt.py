@@ -13,16 +13,16 @@ _NOT_OURS = ("SIGKILL", "SIGSTOP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL")  # c
 
 
 def ending() -> list[int]:
-    """Return every signal that ends or stops a process by default and can be handled, those of real time included."""
+    """Return every signal that ends or stops a process by default and can be handled, real-time signals included."""
     others = {getattr(signal, name, None) for name in (*_HARMLESS, *_NOT_OURS)}
     return sorted(int(number) for number in signal.valid_signals() if number not in others)
 
 
 class StopRequest:
-    """The signals received during a run: none can skip the torque-off. number: the first one, 0 before any.
+    """The signals received during a run; none of them can skip the torque-off. number: the first one, 0 before any.
 
-    exit_follows: whether the process ends after a run that was stopped, so that later signals are ignored; otherwise
-    one that arrives while the interpreter shuts down would replace the exit status.
+    exit_follows: whether the process ends after a stopped run. Later signals are then ignored: one that arrives during
+    the interpreter's shutdown would change the exit status.
     """
 
     exit_follows: ClassVar[bool] = False
@@ -38,10 +38,10 @@ class StopRequest:
 
     @contextmanager
     def listening(self, *, goes_on: bool = False) -> Iterator[StopRequest]:
-        """Take the signals that end a process, until the recording is on disk.
+        """Handle the signals that end a process, until the recording is on disk.
 
-        One that is ignored stays so: under nohup a closed terminal ends nothing. goes_on: whether another run may
-        follow one that was stopped, so that later signals count.
+        Signals that are ignored stay ignored: under nohup a closed terminal ends nothing. goes_on: whether another run
+        may follow a stopped one, so that later signals count.
         """
         before = {number: signal.getsignal(number) for number in ending()}
         before = {number: handler for number, handler in before.items() if handler not in {signal.SIG_IGN, None}}

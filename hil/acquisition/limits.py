@@ -1,8 +1,8 @@
-"""The limits of a run: each has a name, the reason that it gives, and how long it must be exceeded.
+"""The limits of a run: each has a name, gives its reason, and says how long it must be exceeded.
 
-All are at the joint in SI and follow the stand's limits. A single reading far beyond a limit ends a run; a reading
-slightly beyond must repeat, in a row or not, so that one bad count does not end a recording. Whatever is not finite is
-treated before any comparison, since a NaN exceeds no limit.
+All are at the joint in SI and come from the stand's limits. A single reading far beyond a limit ends a run. A reading
+slightly beyond it must repeat within a few readings, so that one wrong count does not end a recording. Values that are
+not finite are handled before any comparison, since no comparison finds NaN above a limit.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class LimitReached(Exception):
 
 
 class AtJoint(NamedTuple):
-    """One reply converted to the joint: N m, rad, rad/s; NaN where there is no such reading."""
+    """One reply converted to the joint: N m, rad, rad/s; NaN if there is no such reading."""
 
     torque: float = math.nan
     dtheta: float = math.nan
@@ -42,16 +42,17 @@ class Limit(Protocol):
     name: str
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """Take the readings at rest. Raises LimitReached where the run must not begin."""
+        """Take the readings at rest. Raises LimitReached if the run must not begin."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """Check one reply. Raises LimitReached, and BadReply where a sensor is not reliable any more."""
+        """Check one reply. Raises LimitReached, and BadReply if a sensor is no longer reliable."""
 
 
 class Persistence:
-    """Whether something was so in `_TIMES` of the last `_OF` readings.
+    """Whether a condition held in at least `_TIMES` of the last `_OF` readings.
 
-    seen: 0 where it was so in none of them; then a reading in which it is not so changes nothing and may be left out.
+    seen: in how many of them it held. While it is 0, a reading in which the condition does not hold changes nothing and
+    may be skipped.
     """
 
     __slots__ = ("seen",)
@@ -60,13 +61,13 @@ class Persistence:
         self.seen = 0
 
     def __call__(self, now: bool) -> bool:
-        """Take a reading; return whether it is so again, for the `_TIMES`-th time."""
+        """Take a reading; return whether the condition holds for the `_TIMES`-th time."""
         self.seen = (self.seen << 1 | now) & ((1 << _OF) - 1)
         return now and self.seen.bit_count() >= _TIMES
 
 
 class Presence:
-    """A reading that was there at rest must go on coming: a run without it would be one without its limit."""
+    """A reading that existed at rest must continue to come: without it the run would have no such limit."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -75,11 +76,11 @@ class Presence:
 
     @property
     def settled(self) -> bool:
-        """Whether no reading was missing of late."""
+        """Return whether no reading was missing recently."""
         return not self._missing.seen
 
     def check(self, value: float) -> bool:
-        """Return whether there is a reading. Raises BadReply where it is missing for the third time."""
+        """Return whether there is a reading. Raises BadReply if it is missing for the third time."""
         present = math.isfinite(value)
         if (self._missing.seen or not present) and self._missing(not present) and self.expected:
             raise BadReply(f"the {self._name} was missing from {_TIMES} replies: check its sensor and cable")
@@ -134,8 +135,9 @@ class Level:
 class Temperature:
     """The winding's temperature, degC, which must also change while the motor is loaded.
 
-    It may stay in its balance. On the way there a reading in steps slows down: its last step takes at least ln 2 of the
-    time constant, minutes for the case of a motor. A reading that changed faster and then stays is frozen.
+    It may be constant in thermal equilibrium. On the way there, a reading with steps slows down: its last step takes at
+    least ln 2 of the time constant, which is minutes for the case of a motor. A reading that changed faster and then
+    stays constant is frozen.
     """
 
     name = "temperature"
@@ -185,7 +187,7 @@ class Temperature:
 
 
 class Supply:
-    """The drive's supply voltage, which must stay near what it was at rest."""
+    """The drive's supply voltage, which must stay close to its value at rest."""
 
     name = "voltage"
 
@@ -210,7 +212,7 @@ class Supply:
 
 
 class Lock:
-    """The locked joint, which must not turn where its angle is measured. limit: rad, of the deflection."""
+    """The locked joint, which must not turn; checked if its angle is measured. limit: of the deflection, rad."""
 
     name = "lock"
 

@@ -1,4 +1,4 @@
-"""The phases of a run as one state machine, what may follow what and when each began, and how the run went."""
+"""The phases of a run as one state machine: which may follow which, when each began, and how the run ended."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ FOLLOWS: Mapping[Phase, frozenset[Phase]] = MappingProxyType(
         Phase.CLOSED: frozenset(),
     }
 )
-"""The phases that may follow each. CLOSED without OFF before it: the torque-off was not confirmed."""
+"""The phases that may follow each phase. CLOSED without OFF before it: the torque-off was not confirmed."""
 
 
 class Phases:
-    """The present phase of a run. history: each phase with the time, s on the servo's clock, at which it began."""
+    """The present phase of a run. history: each phase with the time at which it began, s on the servo's clock."""
 
     def __init__(self) -> None:
         self.now = Phase.REST
         self.history: list[tuple[float, Phase]] = []
 
     def enter(self, phase: Phase, t: float) -> None:
-        """Begin `phase` at `t` s. Raises ValueError where it cannot follow the present one."""
+        """Begin `phase` at `t` s. Raises ValueError if it cannot follow the present one."""
         if phase not in FOLLOWS[self.now]:
             raise ValueError(f"a run cannot go from {self.now} to {phase}")
         self.now = phase
@@ -51,13 +51,12 @@ class Phases:
 
 @dataclass(slots=True)
 class Outcome:
-    """How a run went.
+    """How a run ended.
 
-    late: ticks that began more than half a period after their time. missed: those of them that were skipped, since the
-    next one was due already. error: the fault that ended it, None where it ran to its end or was stopped on request.
-    signal: of that request. alarm: a sentence to show first, where the torque may still be on; "" otherwise. moved:
-    one that says where the recording is, where its file was removed during the run or could not be made final. phases:
-    of the run.
+    late: ticks that began more than half a period late. missed: those of them that were skipped because the next one
+    was already due. error: the fault that ended the run, None if it ran to its end or was stopped on request. signal:
+    of that request. alarm: a sentence to show first if the torque may still be on, otherwise "". moved: a sentence that
+    says where the recording is, if its file was removed during the run or could not be made final. phases: of the run.
     """
 
     samples: int = 0

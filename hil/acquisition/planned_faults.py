@@ -1,4 +1,4 @@
-"""Planned faults of the computer that records: it is killed, or its disk is full or does not answer."""
+"""Planned faults of the recording computer: it is killed, or its disk is full or does not respond."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class FaultyHost:
         return _Disk(self, writer)
 
     def __call__(self, fault: PlannedFault) -> None:
-        """Let a fault of the computer happen."""
+        """Carry out a fault of the computer."""
         if fault.kind == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
         elif fault.kind == "disk-full":
@@ -35,7 +35,7 @@ class FaultyHost:
             os.kill(self._writer.process, signal.SIGSTOP)
 
     def check(self) -> None:
-        """Raise Untrustworthy where the disk is full."""
+        """Raise Untrustworthy if the disk is full."""
         if self._full:
             raise Untrustworthy("the disk is full, as planned in the file of --faults: the rows so far are kept")
 

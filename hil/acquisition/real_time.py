@@ -1,4 +1,4 @@
-"""Run the control loop when it is due: in the real-time class, with locked memory, where the system permits it."""
+"""Run the control loop on time: in the real-time class, with locked memory, if the system permits it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ PERMISSION = (
     "write the two lines `@hil - rtprio 60` and `@hil - memlock unlimited` into /etc/security/limits.d/hil.conf, join "
     "the group with `sudo groupadd -f hil && sudo usermod -aG hil $USER`, then log out and in"
 )
-"""How to permit the real-time class and locked memory to a user."""
+"""How to give a user the permission for the real-time class and locked memory."""
 
 
 @contextmanager
 def real_time(clock: Clock) -> Iterator[None]:
-    """Give the block that drives a motor in real time what the system permits; where time is not real, it may wait.
+    """Run the block that drives a motor with all real-time permissions that the system gives; nothing for a virtual
+    clock.
 
-    No child process inherits the real-time class or the locked memory.
+    Child processes inherit neither the real-time class nor the locked memory.
     """
     with uncollected():  # a full collection can stop the loop for 100 ms
         if not isinstance(clock, MonotonicClock):
@@ -94,9 +95,9 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def _lock_memory() -> bool:
-    """Keep all memory that is used from being swapped out; return whether that is permitted without a bound.
+    """Keep all memory in use from being swapped out; return whether that is permitted without a size limit.
 
-    Within a bound, a later allocation beyond it would fail.
+    With a limit, a later allocation beyond it would fail.
     """
     if sys.platform != "linux":
         return False
@@ -111,7 +112,7 @@ def _prctl(option: int, value: int = 0) -> int:
 
 
 def _call(name: str, *values: object) -> int:
-    """Return the answer of a function of the C library, -1 where the system has none of that name."""
+    """Return the result of a function of the C library, -1 if the system has no such function."""
     if sys.platform != "linux":
         return -1
     return int(getattr(ctypes.CDLL(None), name)(*values))

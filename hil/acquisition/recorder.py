@@ -1,7 +1,7 @@
 """The control loop: drive the motor through a profile, tick by tick, and write every sample.
 
-A tick is one `exchange`. A lost reply is a counted gap; every other fault ends the run. However it ends, the torque is
-turned off before anything else, and the rows so far are kept.
+A tick is one `exchange`. A lost reply is counted as a gap; every other fault ends the run. However the run ends, the
+torque is switched off before anything else, and the rows so far are kept.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Stopped(Exception):
 
 
 def tick_count(profile: Profile, rate: float) -> int:
-    """Rows that a run of `profile` at `rate` Hz has."""
+    """Return the number of rows of a run of `profile` at `rate` Hz."""
     return round(profile.duration * rate) + 1
 
 
@@ -57,7 +57,7 @@ class Recorder:
     """One run of a profile on an open servo, at `rate` Hz, into a sink.
 
     scratch: the folder for the run's set-points, which a long run keeps on disk; None for the system's. Raises WrongUse
-    for a stand without limits, or whose drive does not stop by itself and is not accepted as it is.
+    for a stand without limits, and for a drive that does not stop by itself unless the stand file accepts it.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Recorder:
     def run(self, stop: StopRequest) -> Outcome:
         """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
 
-        Never raises, since the rows must still be kept: the outcome has the error.
+        Never raises, because the rows must still be saved: the outcome holds the error.
         """
         outcome = self._outcome
         try:
@@ -138,8 +138,8 @@ class Recorder:
     def _find_zero(self, stop: StopRequest) -> Zero:
         """Read the axis at rest, without driving it.
 
-        Raises NoReply where it does not answer, BadReply where a necessary reading is missing, WrongUse where a tick is
-        too short for it, LimitReached where it is too warm.
+        Raises NoReply if it does not answer, BadReply if a necessary reading is missing, WrongUse if a tick is too
+        short for one exchange, LimitReached if it is too warm.
         """
         samples = self._at_rest(stop)
         motor = _mean(sample.motor_position for sample in samples)
@@ -212,7 +212,7 @@ class Recorder:
             answered = now_of()
 
     def _steered(self, stop: StopRequest, due: float, too_late: str) -> float:
-        """Enter the phase that begins at `due` s of the run; return the share of the set-point that is left."""
+        """Enter the phase that is due at `due` s of the run; return the remaining factor on the set-point."""
         stopping = math.isfinite(self._stopping_at)
         if (stop.count or too_late) and not stopping:
             self._ramp_down(stop, due, too_late)
@@ -233,7 +233,7 @@ class Recorder:
             self._outcome.end_reason = f"LimitReached: {too_late}"
 
     def _miss(self, seq: int, due: float, held: float) -> None:
-        """Write the row of a tick that is skipped; the drive keeps the set-point `held`."""
+        """Write the row of a skipped tick; the drive keeps the set-point `held`."""
         sample = Sample.missing(self._start + due, _MISSED)
         self._outcome.missed += 1
         self._outcome.late += 1
@@ -330,6 +330,6 @@ def _check_stop(stop: StopRequest) -> None:
 
 
 def _mean(values: Iterable[float]) -> float:
-    """Return the mean of the finite values, NaN without any."""
+    """Return the mean of the finite values, NaN if there are none."""
     numbers = [value for value in values if math.isfinite(value)]
     return fmean(numbers) if numbers else math.nan

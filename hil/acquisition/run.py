@@ -1,4 +1,4 @@
-"""One run, from a free place on disk to a finished file: the stand, the servo, the recorder and the store together."""
+"""One run, from a free file name to a finished file: stand, servo, recorder and file together."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ def run(
 
     Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
     force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
-    where this one is killed, frozen or late. rerun: "window" or a file .rrd, where Rerun shows the run, "" for nowhere.
-    seed: of the simulator. alarm: is called with a sentence, once every row is with the operating system and before the
-    file is made final, where the torque may still be on. faults: what goes wrong on a simulated stand. warn: is called
-    with the warnings about the opened drive, before anything moves. Raises WrongUse before anything moves, DriverError
-    where the servo cannot be opened.
+    if this one is killed, frozen or late. rerun: "window" or a file .rrd, in which Rerun shows the run, "" for neither.
+    seed: of the simulator. alarm: called with a sentence if the torque may still be on, after every row is with the
+    operating system and before the file is made final. faults: planned faults of a simulated stand. warn: called with
+    the warnings about the opened drive, before anything moves. Raises WrongUse before anything moves, DriverError if
+    the servo cannot be opened.
     """
     host = FaultyHost()
     _check(stand, output, rerun, force=force)
@@ -115,7 +115,9 @@ def _opened(
     realtime: bool,
     guardian: bool,
 ) -> tuple[Servo, Mapping[str, float]]:
-    """Return the open servo with its planned faults, and the truth of a simulated one. Raises as `open_servo`."""
+    """Return the open servo with its planned faults, and the true parameters of a simulated one. Raises as
+    `open_servo`.
+    """
     plan, host = faulty
     watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
     watched = plan is None or "broken-watchdog" not in plan.kinds()
@@ -124,14 +126,14 @@ def _opened(
 
 
 def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[Diagnostic]], object]) -> Stand:
-    """Return the stand with the torque that its opened drive may have. Raises as `permitted`."""
+    """Return the stand with the torque that its drive may use. Raises as `permitted`."""
     stand, warnings = permitted(stand, servo.info, profile)
     warn(warnings)
     return stand
 
 
 def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> None:
-    """Raise WrongUse for a backend that there is none of, and for outputs that cannot be written."""
+    """Raise WrongUse for an unknown backend and for outputs that cannot be written."""
     check_backend(stand.stand.backend)
     if rerun:
         check_rerun(rerun, force=force)
@@ -153,7 +155,7 @@ def _raise_alarm(writer: Writer, outcome: Outcome, alarm: Callable[[str], object
 
 
 def _begin(output: Path | None, header: Header, length: int, batch: int, *, force: bool) -> RecordingWriter:
-    """Return the writer of a new recording, under a name that nobody else takes at the same time."""
+    """Return the writer of a new recording, under a name that no other process takes at the same time."""
     if output is not None:
         if force:
             remove_unfinished(output)
@@ -170,7 +172,7 @@ def _begin(output: Path | None, header: Header, length: int, batch: int, *, forc
 
 
 def _behind(writer: RecordingWriter, servo: Servo, rate: float) -> Writer:
-    """Let another process write the rows where time is real, so that the loop does not wait for the disk."""
+    """Let another process write the rows if the clock is real, so that the loop does not wait for the disk."""
     if not (_HAS_SHARED_MEMORY and isinstance(servo.clock, MonotonicClock)):
         return writer
     try:
@@ -195,14 +197,14 @@ def _close_servo(servo: Servo, outcome: Outcome) -> None:
 
 
 def _is_readable(part: Path) -> bool:
-    """Return whether there is a `.part` that can be recovered: somebody may have cut it off meanwhile."""
+    """Return whether there is a `.part` that can be recovered; it may have been truncated meanwhile."""
     with suppress(WrongUse, Untrustworthy, OSError), Recording(part):
         return True
     return False
 
 
 def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
-    """Make the recording final and return where it is. A failure goes into the outcome: the `.part` has the rows."""
+    """Make the recording final and return its path. A failure is stored in the outcome: the `.part` keeps the rows."""
     try:
         with writer:
             if len(writer):

@@ -1,4 +1,4 @@
-"""Whether the encoder and the torque cell can be believed while a run lasts: stuck, jumping, rough, or at an end.
+"""Whether encoder and torque cell are credible during a run: stuck, jumping, noisy, or at the end of their range.
 
 Limits like those of `hil.acquisition.limits`, all at the joint in SI.
 """
@@ -20,7 +20,9 @@ _NOISE_OVER, _NOISE_SIZE, _ROUGH = 100, 0.02, 1.45  # replies; of the deflection
 
 
 class StuckEncoder:
-    """The motor's angle, which must change while the torque does. moves: N m that cannot pass without it."""
+    """The motor's angle must change while the torque does. moves: the change of torque, N m, that is impossible unless
+    the motor turns.
+    """
 
     name = "encoder"
 
@@ -51,10 +53,10 @@ class StuckEncoder:
 
 
 class ImplausibleEncoder:
-    """The deflection, which can neither jump nor be rough. limit: rad, of the deflection; velocity: rad/s.
+    """The deflection can neither jump nor be noisy. limit: of the deflection, rad; velocity: rad/s.
 
-    Between two readings it moves no further than three times its reported rate allows, and a tenth of its limit. The
-    second differences of a motion that is sampled often enough are smaller than the first ones; those of noise are not.
+    Between two readings it moves at most three times as far as its reported rate allows, plus a tenth of its limit. The
+    second differences of a well sampled motion are smaller than the first ones; those of noise are not.
     """
 
     name = "encoder"
@@ -104,7 +106,7 @@ class ImplausibleEncoder:
 
 
 class StuckCell:
-    """The torque, N m, which must change while the deflection does. limit: of the torque."""
+    """The torque, N m, must change while the deflection does. limit: of the torque."""
 
     name = "torque"
 

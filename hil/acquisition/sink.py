@@ -1,4 +1,4 @@
-"""Where a run's rows go: a file (`hil.recording.writer.RecordingWriter`) or memory."""
+"""The destination of a run's rows: a file (`hil.recording.writer.RecordingWriter`) or memory."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Sink(Protocol):
     """The receiver of a run's rows and events. `append` is called in the control loop: it must not wait."""
 
     def append(self, row: Row) -> None:
-        """Add one row. Raises Untrustworthy where it cannot be kept."""
+        """Add one row. Raises Untrustworthy if it cannot be kept."""
 
     def event(self, time: float, code: str, message: str) -> None:
         """Add an event at `time` s: a short code and a sentence. Raises as `append` does."""
@@ -24,7 +24,7 @@ class Sink(Protocol):
 
 
 class Memory:
-    """A sink for short runs that are looked at and then forgotten."""
+    """A sink in memory, for short runs that are examined and then discarded."""
 
     def __init__(self) -> None:
         self._rows: list[Row] = []

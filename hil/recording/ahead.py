@@ -1,4 +1,4 @@
-"""Blocks of rows, read in a thread while the ones before are worked on."""
+"""Read blocks of rows in a thread while the previous ones are processed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TypeVar
 
 T = TypeVar("T")
 Progress = Callable[[str, float], None]
-"""Called with what is being done, in a few words, and the share of it that is done, 0 to 1; NaN: not known."""
+"""A function that is called with a phase in a few words, and the fraction done, 0 to 1; NaN: unknown."""
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:
-    """Yield the items in order, each of them computed while the one before is used. One more than that is in memory.
+    """Yield the items in order; the next one is computed while the present one is used.
 
-    Raises what computing an item raises, when its turn comes.
+    Raises what computing an item raises, when that item is due.
     """
     iterator = iter(items)
     with ThreadPoolExecutor(1) as pool:
@@ -25,7 +25,7 @@ def ahead(items: Iterable[T]) -> Iterator[T]:
 
 
 def _next(iterator: Iterator[T]) -> tuple[T] | None:
-    """Return the next item, in a tuple; None at the end: a future cannot hold StopIteration."""
+    """Return the next item in a tuple; None at the end, because a future cannot hold StopIteration."""
     for item in iterator:
         return (item,)
     return None

@@ -1,4 +1,4 @@
-"""A recording that another process writes: the control loop hands its rows to shared memory and waits for nothing."""
+"""A recording written by another process: the control loop puts its rows into shared memory and never waits."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _LAST = packed_event(0.0, "interrupted", "the recorder was killed; every row tha
 
 
 class BackgroundWriter:
-    """A recording in progress at `rate` Hz whose rows a process of their own writes into the file of `recording`.
+    """A recording in progress at `rate` Hz; a separate process writes its rows into the file of `recording`.
 
-    Used as the `RecordingWriter` that it stands in front of, whose attributes it has. Where the recorder is killed, the
-    process writes every row that it was given; where the process is killed, this one does; where both are, `complete`
-    does. A disk that does not take rows raises Untrustworthy from `append` once the memory is half full. Raises
-    WrongUse where it cannot be started.
+    It replaces the `RecordingWriter` that it is given, and has the same attributes. If the recorder is killed, the
+    process writes every row that it was given; if the process is killed, this one does; if both are, `complete` does.
+    If the disk does not take rows, `append` raises Untrustworthy once the memory is half full. Raises WrongUse if the
+    process cannot be started.
     """
 
     def __init__(self, recording: RecordingWriter, rate: float) -> None:
@@ -79,22 +79,22 @@ class BackgroundWriter:
 
     @property
     def process(self) -> int:
-        """The number of the writing process."""
+        """Return the number of the writing process."""
         return self._process.pid
 
     @property
     def path(self) -> Path:
-        """The `.part`."""
+        """Return the `.part` file."""
         return self._recording.path
 
     @property
     def final(self) -> Path:
-        """The finished file."""
+        """Return the finished file."""
         return self._recording.final
 
     @property
     def moved(self) -> str:
-        """A sentence, where both had to be put elsewhere."""
+        """Return a sentence that says so if both files had to be put elsewhere."""
         return self._recording.moved
 
     def __enter__(self) -> Self:
@@ -107,7 +107,7 @@ class BackgroundWriter:
         return self._rows
 
     def append(self, row: Row) -> None:
-        """Add one row. Raises Untrustworthy where the disk fails or does not answer, or the writing process is dead."""
+        """Add one row. Raises Untrustworthy if the disk fails or does not respond, or the writing process is dead."""
         waiting = self._ring.add(packed((row,)))
         self._rows += 1
         if waiting > self._half:
@@ -126,7 +126,7 @@ class BackgroundWriter:
             raise Untrustworthy(f"the process that writes {self.path} was killed: its rows so far are kept")
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Add an event at `time` s. Past the table's end it is dropped: samples matter more."""
+        """Add an event at `time` s. If the table is full it is dropped: samples matter more."""
         self._ring.add_event(packed_event(time, code, message))
 
     def flush(self) -> None:
@@ -135,24 +135,24 @@ class BackgroundWriter:
             self._check()
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
-        """As `RecordingWriter.finish`. Raises Untrustworthy where the disk does not answer."""
+        """Do as `RecordingWriter.finish`. Raises Untrustworthy if the disk does not respond."""
         self._end()
         return self._recording.finish(end_reason, force=force)
 
     def discard(self) -> None:
-        """Remove the recording, where it has no row worth keeping. Harmless when already closed."""
+        """Remove the recording, if it has no row worth keeping. Harmless if already closed."""
         self._end()
         self._recording.discard()
 
     def close(self) -> None:
-        """Close the file and keep it as it is. Harmless when already closed."""
+        """Close the file and keep it as it is. Harmless if already closed."""
         try:
             self._end()
         finally:
             self._recording.close()
 
     def _end(self) -> None:
-        """Let the process write what is waiting and end, and write what it did not. Raises Untrustworthy."""
+        """Let the process write what is waiting and end; write what it did not. Raises Untrustworthy."""
         if self._ended:
             return
         self._ended = True
@@ -176,7 +176,7 @@ class BackgroundWriter:
             self._ring.close()
 
     def _advances(self) -> bool:
-        """Wait a moment; return False where no row was written and the process did not end for `_PATIENCE` s."""
+        """Wait a moment; return False if no row was written and the process did not end within `_PATIENCE` s."""
         before, begin = self._ring.taken, time.monotonic()
         while self._process.poll() is None and self._ring.taken == before:
             if time.monotonic() - begin > _PATIENCE:
@@ -186,9 +186,10 @@ class BackgroundWriter:
 
 
 def complete(path: Path) -> None:
-    """Write into the unfinished recording `path` the rows that its two processes, both killed, have left in memory.
+    """Write the rows that two killed processes left in shared memory into the unfinished recording `path`.
 
-    Harmless where they left none. Raises WrongUse and Untrustworthy as reading it does, and where it cannot be written.
+    Harmless if they left none. Raises WrongUse and Untrustworthy as reading the recording does, and if it cannot be
+    written.
     """
     with Recording(path) as recording:
         places = recording.live_places() if recording.live else None

@@ -1,4 +1,6 @@
-"""The final file of a recording: its samples compressed, a channel each, with hashes of all that decides a result."""
+"""The final file of a recording: compressed samples, one dataset a channel, with hashes of all that affects a
+result.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,13 @@ from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
 
 _LEVEL = 6  # of the deflation
 OVERHEAD = 1 << 18
-"""Bytes of a file that are not samples, generously."""
+"""An upper estimate of the bytes of a file that are not samples."""
 
 
 class Finalised(NamedTuple):
-    """The rows of a final file, those that were damaged and count as lost, and whether it can be trusted.
+    """The number of rows in a final file, of those that were damaged and count as lost, and whether it can be trusted.
 
-    trusted: whether the source still had the hash that it was written with; otherwise the file has none.
+    trusted: whether the source still matched its hash; otherwise the file gets none.
     """
 
     samples: int
@@ -35,10 +37,10 @@ class Finalised(NamedTuple):
 
 
 def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
-    """Write the recording `source` (either layout, any schema that is read) to `output` in the final layout.
+    """Write the recording `source` (either layout, any known schema) to `output` in the final layout.
 
-    The output appears whole or not at all, and `source` is not touched. end_reason: None marks it as recovered. force:
-    replace a file of that name. Raises WrongUse where the output cannot be written.
+    The output appears complete or not at all, and `source` is not changed. end_reason: None marks it as recovered.
+    force: replace a file of that name. Raises WrongUse if the output cannot be written.
     """
     with Recording(source) as recording:
         done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
@@ -81,7 +83,7 @@ def write_attributes(
 
 
 def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> None:
-    """Add the hash of the header, which must be whole."""
+    """Add the hash of the header, which must be complete."""
     attributes, profile = plain(file.attrs), plain(file["profile"].attrs)
     truth = {name: float(value) for name, value in truth.items()}
     file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
@@ -90,7 +92,7 @@ def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> No
 def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | float]:
     """Write the rows; return the attributes that follow from them.
 
-    The torque of a cell is that at the joint: it is stored once and has both names.
+    If the torque equals that of the cell at the joint, it is stored once, under both names.
     """
     group = file.create_group("samples")
     names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(recording)]
@@ -111,7 +113,7 @@ def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | flo
 
 
 def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[Any]) -> None:
-    """Make an empty channel of `length` rows, compressed as its `first` values are best."""
+    """Create an empty channel of `length` rows, with the compression that suits its `first` values."""
     dataset = group.create_dataset(
         name,
         shape=(length,),
@@ -128,9 +130,9 @@ def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[An
 
 
 def _shrinks_shuffled(values: NDArray[Any]) -> bool:
-    """Return whether values deflate better with their bytes sorted by place, as those of a smooth channel do.
+    """Return whether values compress better with their bytes shuffled, as those of a smooth channel do.
 
-    A channel in counts of a coarse sensor has few distinct values, and deflates to half the size as it is.
+    A channel of a coarse sensor has few distinct values, and compresses to half the size without shuffling.
     """
     data = np.ascontiguousarray(values)
     sorted_ = data.view(np.uint8).reshape(-1, data.itemsize).T.tobytes()
@@ -138,7 +140,7 @@ def _shrinks_shuffled(values: NDArray[Any]) -> bool:
 
 
 def _from_cell(recording: Recording) -> bool:
-    """Return whether the torque is that of the cell at the joint, to the last bit, in every row."""
+    """Return whether the torque equals that of the cell at the joint, to the last bit, in every row."""
     return len(recording) > 0 and all(
         rows["torque"].tobytes() == rows["joint_torque"].tobytes() for _, rows in recording.rows()
     )

@@ -1,4 +1,4 @@
-"""Opening the files that a command reads: ordinary ones only, and not more of them than they may hold."""
+"""Open the files that a command reads: regular files only, with a limit on their size."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.recording.posix import open_binary
 
 
 def open_input(path: Path, *, largest: int) -> BufferedReader:
-    """Open an ordinary file of at most `largest` bytes for reading.
+    """Open a regular file of at most `largest` bytes for reading.
 
     A FIFO or a device would block or never end. Raises WrongUse.
     """
@@ -50,9 +50,9 @@ def read_text(path: Path, *, largest: int) -> str:
 
 @contextmanager
 def bounded_memory(size: int) -> Iterator[None]:
-    """Let this process take at most `size` bytes more than it has: a MemoryError ends what would take them.
+    """Limit this process to `size` bytes more than it has: a larger allocation raises MemoryError.
 
-    For a library that unpacks whatever a file declares. Does nothing where the system knows no such limit.
+    It protects from a library that unpacks whatever a file declares. Does nothing if the system has no such limit.
     """
     try:
         import resource

@@ -1,4 +1,4 @@
-"""The checks of a recording: the file may be opened, and its header, rows and events are as they were written."""
+"""The checks of a recording: that the file may be opened, and that header, rows and events are as written."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _pack_row = struct.Struct("<" + "".join("Q" if ROW[name].kind == "u" else "d" fo
 
 
 def packed(rows: Iterable[Row]) -> bytes:
-    """Return the bytes of rows as LIVE lays them out, which takes half the time of an array.
+    """Return the bytes of rows in the layout of LIVE, in half the time that an array needs.
 
     `row[:]` is a plain tuple, which is unpacked in half the time of a Row.
     """
@@ -45,7 +45,7 @@ def packed(rows: Iterable[Row]) -> bytes:
 
 
 def packed_array(rows: Rows) -> bytes:
-    """Return the bytes of rows, (n,) of ROW, as LIVE lays them out."""
+    """Return the bytes of rows, (n,) of ROW, in the layout of LIVE."""
     live = np.empty(len(rows), dtype=LIVE)
     for name in Row._fields:
         live[name] = rows[name]
@@ -54,16 +54,16 @@ def packed_array(rows: Rows) -> bytes:
 
 
 def packed_event(time: float, code: str, message: str) -> bytes:
-    """Return the bytes of an event as EVENT lays them out; what is too long is cut off."""
+    """Return the bytes of an event in the layout of EVENT; text that is too long is cut off."""
     data = np.array([(time, code.encode()[:32], message.encode()[:200], 0)], dtype=EVENT).tobytes()[:-4]
     return data + _crc(zlib.crc32(data))
 
 
 def intact(table: Rows) -> NDArray[np.bool_]:
-    """Return for each entry of a table, (n,) of LIVE or EVENT, whether its checksum holds.
+    """Return for each entry of a table, (n,) of LIVE or EVENT, whether its checksum is right.
 
-    In a table of older schemas, which have no checksums, all do but those of zeros: a kill left them so before they
-    were written.
+    In a table of older schemas, which have no checksums, all entries count as intact except those of zeros, which a
+    killed recorder had not written yet.
     """
     if "crc" not in (table.dtype.names or ()):
         data = np.frombuffer(table.tobytes(), dtype=np.uint8).reshape(len(table), table.dtype.itemsize)
@@ -72,9 +72,9 @@ def intact(table: Rows) -> NDArray[np.bool_]:
 
 
 def written_first(table: Rows) -> int:
-    """Return how many rows at the beginning of a table of LIVE were written, whether or not their checksums hold.
+    """Return how many rows at the beginning of a table of LIVE were written, whether or not their checksums are right.
 
-    Not written is what is the end mark or zero, but for a few damaged bytes.
+    A row that holds the end mark or zeros, apart from a few damaged bytes, was not written.
     """
     if table.dtype != LIVE:
         return 0
@@ -85,7 +85,7 @@ def written_first(table: Rows) -> int:
 
 
 def _checksums(table: Rows) -> NDArray[np.uint32]:
-    """Return the CRC-32 of each entry's bytes but its last four, (n,)."""
+    """Return the CRC-32 of each entry's bytes except its last four, (n,)."""
     data, size = memoryview(table.tobytes()), table.dtype.itemsize
     return np.fromiter(
         (zlib.crc32(data[at : at + size - 4]) for at in range(0, len(data), size)), np.uint32, len(table)
@@ -98,9 +98,10 @@ def header_hash(
     truth: Mapping[str, float],
     events: Iterable[tuple[float, str, str]],
 ) -> str:
-    """Return the SHA-256 of all that a recording holds beside its rows, of the attributes all but this hash itself.
+    """Return the SHA-256 of everything in a recording except its rows and this hash itself.
 
-    It is over the JSON of the list of the four, with sorted keys, as Python's `json.dumps` writes it.
+    It is computed over the JSON of the list of the four arguments, with sorted keys, as Python's `json.dumps` writes
+    it.
     """
     own = {name: value for name, value in attributes.items() if name != "sha256_header"}
     text = json.dumps([own, dict(profile), dict(truth), list(events)], sort_keys=True, default=repr)
@@ -108,7 +109,9 @@ def header_hash(
 
 
 def rows_hash(blocks: Iterable[tuple[int, Rows]], names: list[str], length: int, progress: Progress | None) -> str:
-    """Return the SHA-256 of the named channels of rows, in blocks with the index of the first, of `length` in all."""
+    """Return the SHA-256 of the named channels of rows, given in blocks with the index of the first; length: of all
+    rows.
+    """
     digest = hashlib.sha256()
     for start, rows in blocks:
         digest.update((rows if names == list(CHANNELS) else repack_fields(rows[names])).data)
@@ -118,11 +121,11 @@ def rows_hash(blocks: Iterable[tuple[int, Rows]], names: list[str], length: int,
 
 
 def stored_hash(samples: h5py.Group, names: Iterable[str]) -> str:
-    """Return the SHA-256 of the named channels as they are stored, before anything is decompressed.
+    """Return the SHA-256 of the named channels as stored, without decompressing them.
 
-    Of each channel, in order: the JSON of its name, length, rows of a chunk and filters (number and parameters); then
-    of each chunk its mask of filters, four bytes, and its bytes. "" where a channel is not stored in such chunks alone,
-    or its type is not that of the channel: then its bytes do not say what its values are.
+    It covers for each channel, in order: the JSON of its name, length, rows of a chunk and filters (number and
+    parameters); then for each chunk its filter mask, four bytes, and its bytes. "" if a channel is not stored only in
+    such chunks, or has another type than the channel: its bytes then do not determine its values.
     """
     digest = hashlib.sha256()
     for name in names:
@@ -142,7 +145,7 @@ def stored_hash(samples: h5py.Group, names: Iterable[str]) -> str:
 
 
 def plain(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the attributes of a group in Python's own types."""
+    """Return the attributes of a group as Python's own types."""
     return {name: _plain(attributes[name]) for name in attributes}
 
 
@@ -154,7 +157,7 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def legible(path: Path) -> Iterator[None]:
-    """Turn any exception from damaged metadata into a WrongUse: HDF5 and h5py raise many kinds."""
+    """Turn any exception caused by damaged metadata into a WrongUse; HDF5 and h5py raise many kinds."""
     try:
         yield
     except (WrongUse, Untrustworthy):
@@ -164,12 +167,12 @@ def legible(path: Path) -> Iterator[None]:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error, which HDF5 follows up with its own stack."""
+    """Return the first line of an error; HDF5 adds its own stack after it."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def check_regular(path: Path) -> None:
-    """Raise WrongUse for all but an ordinary file; a FIFO or a device would block the reader."""
+    """Raise WrongUse unless it is a regular file; a FIFO or a device would block the reader."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -179,7 +182,7 @@ def check_regular(path: Path) -> None:
 
 
 def open_file(path: Path) -> h5py.File:
-    """Open a file of HDF5 for reading. Raises WrongUse."""
+    """Open an HDF5 file for reading. Raises WrongUse."""
     with legible(path):
         try:
             return h5py.File(path, "r")
@@ -206,10 +209,10 @@ def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
 
 
 def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]:
-    """Return the rows of a finished recording, and the channels that it has not since its schema had none.
+    """Return the number of rows of a finished recording, and the channels that its older schema does not have.
 
-    Raises WrongUse where a channel is missing, is no column of numbers, or differs from the others in length, and where
-    the file declares more than it can hold, which would fill the memory or the disk.
+    Raises WrongUse if a channel is missing, is no column of numbers, or differs from the others in length, and if the
+    file declares more data than it can hold, which would fill memory or disk.
     """
     later = frozenset(name for name in LATER if name not in samples)
     names = [name for name in CHANNELS if name not in later]

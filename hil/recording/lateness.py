@@ -14,7 +14,9 @@ _MISSED = np.uint64(int(Status.MISSED))
 
 
 class Lateness:
-    """The lateness of set-points sent at `rate` Hz, s: when each was sent less when it was due. NaN without a rate."""
+    """The lateness of set-points sent at `rate` Hz, s: the time when each was sent less the time when it was due. NaN
+    without a rate.
+    """
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
@@ -23,7 +25,7 @@ class Lateness:
         self._missed = 0
 
     def add(self, rows: Rows) -> None:
-        """Take rows, (n,) of ROW. Ticks that were missed are counted; those without a time are left out."""
+        """Take rows, (n,) of ROW. Missed ticks are counted; rows without a time are skipped."""
         missed = (rows["status"] & _MISSED) != 0
         late = (rows["time"] - rows["seq"] / self._rate)[~missed]
         late = late[np.isfinite(late)]
@@ -32,13 +34,15 @@ class Lateness:
         self._most = max(self._most, float(late.max(initial=0.0)))
 
     def attributes(self) -> dict[str, float | int]:
-        """Return what a recording stores of it: two quantiles within 0.5 %, the largest (s), and the missed ticks."""
+        """Return the attributes that a recording stores: two quantiles within 0.5 %, the largest lateness (s), and the
+        missed ticks.
+        """
         quantiles = {f"lateness_p{percent}": self._quantile(percent / 100) for percent in (50, 99)}
         most = self._most if self._counts.any() else np.nan
         return quantiles | {"lateness_max": most, "missed": self._missed}
 
     def _quantile(self, share: float) -> float:
-        """Return the upper edge of the bin in which the quantile lies, 0 below the first one, NaN without any."""
+        """Return the upper edge of the bin of the quantile, 0 below the first bin, NaN without any ticks."""
         if not self._counts.any():
             return np.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self._counts.sum()))

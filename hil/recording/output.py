@@ -1,4 +1,4 @@
-"""Where a file is written: the next free name, files that must not be overwritten, and writing it whole."""
+"""Where a file is written: the next free name, files that must not be overwritten, and atomic writing."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _OTHERS = frozenset(
         ".xml",
     }
 )
-"""Suffixes of other formats, and of a recording in progress: a file of that name would be taken for what it is not."""
+"""Suffixes of other formats, and of a recording in progress: a recording with such a name would be mistaken for one."""
 _READ_ONLY = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
 class NameTaken(WrongUse):
-    """Another recording has the name."""
+    """Another recording already has this name."""
 
 
 def part_path(path: Path) -> Path:
@@ -50,7 +50,7 @@ def part_path(path: Path) -> Path:
 
 
 def next_free(folder: Path) -> Path:
-    """Return the next `runN.h5` of `folder` that no finished or unfinished recording has. Makes the folder."""
+    """Return the next `runN.h5` of `folder` that no finished or unfinished recording has. Creates the folder."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         names = [path.name.removesuffix(".part") for path in folder.glob("run*.h5*")]
@@ -59,7 +59,7 @@ def next_free(folder: Path) -> Path:
 
 
 def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
-    """Raise WrongUse where writing `path` would overwrite a file, or where there is no folder for it.
+    """Raise WrongUse if writing `path` would overwrite a file, or if its folder does not exist.
 
     inputs: the files that the command reads, which not even `force` overwrites. Changes nothing.
     """
@@ -76,7 +76,7 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
 
 
 def check_recording_name(path: Path) -> Path:
-    """Return the path of a recording. Raises WrongUse for a suffix that says another format."""
+    """Return the path of a recording. Raises WrongUse for the suffix of another format."""
     if path.suffix.lower() in _OTHERS:
         stem = path.with_suffix("")
         better = stem if stem.suffix == ".h5" else path.with_suffix(".h5")
@@ -85,7 +85,7 @@ def check_recording_name(path: Path) -> Path:
 
 
 def check_unfinished(path: Path) -> None:
-    """Raise WrongUse where there is an unfinished recording that would become `path`. Changes nothing."""
+    """Raise WrongUse if there is an unfinished recording that would become `path`. Changes nothing."""
     part = part_path(path)
     with writing(path):
         if part.exists():
@@ -97,13 +97,13 @@ def check_unfinished(path: Path) -> None:
 
 
 def check_ended(part: Path) -> None:
-    """Raise WrongUse where the unfinished recording `part` is being recorded, so that it may not be recovered yet."""
+    """Raise WrongUse if the unfinished recording `part` is still being recorded, so that it cannot be recovered yet."""
     with writing(part):
         _unlock(_locked_alone(part))
 
 
 def remove_unfinished(path: Path) -> None:
-    """Remove the unfinished recording that would become `path`, if any. Raises WrongUse while it is recorded."""
+    """Remove the unfinished recording that would become `path`, if any. Raises WrongUse while it is being recorded."""
     part = part_path(path)
     with writing(path):
         file = _locked_alone(part)
@@ -114,7 +114,9 @@ def remove_unfinished(path: Path) -> None:
 
 
 def _locked_alone(part: Path) -> int | None:
-    """Return the open file `part`, None without one. Raises WrongUse where another process has it locked."""
+    """Return the open and locked file `part`, None if it does not exist. Raises WrongUse if another process has it
+    locked.
+    """
     try:
         file = open_binary(part, os.O_RDWR)
     except FileNotFoundError:
@@ -141,9 +143,9 @@ def _unlock(file: int | None) -> None:
 
 
 def check_space(path: Path, size: int) -> None:
-    """Raise WrongUse where fewer than `size` bytes are free beside `path`.
+    """Raise WrongUse if fewer than `size` bytes are free in the folder of `path`.
 
-    HDF5 does not survive a disk that fills up under it (it ends in a segmentation fault), so it is never let near one.
+    HDF5 does not survive a disk that fills up (it ends in a segmentation fault), so it is never started on one.
     """
     free = shutil.disk_usage(path.parent).free
     if free < size:
@@ -154,9 +156,9 @@ def check_space(path: Path, size: int) -> None:
 
 
 def new_temporary(path: Path) -> tuple[int, Path]:
-    """Return a new file beside `path`, locked while it is open, and its name, which cannot be predicted.
+    """Return a new file in the folder of `path`, locked while it is open, and its unpredictable name.
 
-    The name keeps the last suffixes of `path`. Those that killed processes left in the folder are removed.
+    The name keeps the last suffixes of `path`. Temporary files that killed processes left in the folder are removed.
     """
     _remove_abandoned(path.parent)
     while True:
@@ -175,7 +177,7 @@ def new_temporary(path: Path) -> tuple[int, Path]:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files whose process has ended: nobody holds their lock."""
+    """Remove the temporary files whose process has ended, so that their lock is free."""
     for path in [path for path in folder.iterdir() if _TEMPORARY.match(path.name)]:
         with suppress(OSError):  # another process may remove it too, or may be using it
             file = open_binary(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -189,10 +191,11 @@ def _remove_abandoned(folder: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a new file beside `path` to write to, which then takes that name: a result appears whole or not at all.
+    """Yield a new file in the folder of `path` to write to, which is then renamed: a result appears complete or not at
+    all.
 
     It is a locked file of `new_temporary`. force: whether a regular file at `path` is replaced; nothing else ever is.
-    Raises WrongUse where that refuses, or where `path` cannot be written.
+    Raises WrongUse if the file may not be replaced, or if `path` cannot be written.
     """
     with writing(path):
         locked, temporary = new_temporary(path)
@@ -221,7 +224,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def _check_replaceable(path: Path, *, force: bool) -> None:
-    """Raise WrongUse where there is a file at `path`, or with `force` one that is not regular."""
+    """Raise WrongUse if there is a file at `path`, or with `force` one that is not regular."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -243,7 +246,7 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """Return the system's own words, where HDF5 has wrapped its jargon around them."""
+    """Return the system's own words out of an error that HDF5 has wrapped."""
     number = getattr(error, "errno", None)
     if number:
         return os.strerror(number)

@@ -1,4 +1,4 @@
-"""File operations that only POSIX has, each with its equivalent elsewhere."""
+"""File operations that only POSIX has, each with a portable equivalent."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ else:
 
 
 def keep_durable(file: int, ended: threading.Event) -> OSError | None:
-    """Ask the disk four times a second to keep what an open file was given, until `ended`; return what failed."""
+    """Make the data of an open file durable on disk four times a second until `ended`; return the error, if any."""
     while not ended.wait(_DURABLE):
         try:
             os.fsync(file)
@@ -158,21 +158,22 @@ def keep_durable(file: int, ended: threading.Event) -> OSError | None:
 
 
 def is_at(file: int, path: Path) -> bool:
-    """Return whether `path` is still the open file."""
+    """Return whether `path` still names the open file."""
     with suppress(OSError):
         return os.path.samestat(os.fstat(file), path.stat())
     return False
 
 
 def open_binary(path: Path, flags: int) -> int:
-    """Open a file for bytes as they are."""
+    """Open a file for bytes without any conversion."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)
 
 
 def since_boot() -> tuple[str, float]:
-    """Return a name of the last start of this computer, and the s since, which do not change with the time of day.
+    """Return an identifier of the computer's last start, and the time since, s, which setting the clock does not
+    change.
 
-    The name is "" where the system tells neither.
+    The identifier is "" if the system gives neither.
     """
     try:
         name = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()

@@ -71,12 +71,12 @@ RENAMED: Mapping[str, Mapping[str, str]] = MappingProxyType(
         SCHEMA: MappingProxyType({}),
     }
 )
-"""The schemas that are read, each with what it called attributes of /profile that have another name now."""
+"""The schemas that are read, each with its old names of attributes of /profile."""
 BLOCK = 65536
-"""Rows handled at a time, so that no recording is ever in memory whole."""
+"""Rows processed at a time, so that no recording is ever completely in memory."""
 
 EVENTS = 256
-"""Events that a recording in progress has room for."""
+"""The number of events that a recording in progress has room for."""
 _MOST_EVENTS = 100_000
 _TRIAL_TIME, _TRIAL_MEMORY = 2, 1 << 29  # s of processor time, bytes
 _REFUSALS: Mapping[str, type[Exception]] = MappingProxyType({"WrongUse": WrongUse, "Untrustworthy": Untrustworthy})
@@ -95,11 +95,11 @@ class Event(NamedTuple):
 
 
 class Recording:
-    """An open recording, finished or not; `len()` is its rows.
+    """An open recording, finished or not; `len()` is its number of rows.
 
-    attributes: the root's. profile: the excitation, by the names of SCHEMA whichever schema the file has. complete:
-    whether it ended as planned. live: whether it is still in the first stage's layout.
-    Raises WrongUse for a file that is no recording or has an unknown schema, Untrustworthy for a damaged one.
+    attributes: the root's. profile: the excitation, by the names of SCHEMA for any schema of the file. complete:
+    whether it ended as planned. live: whether it still has the layout of a recording in progress. Raises WrongUse for a
+    file that is no recording or has an unknown schema, Untrustworthy for a damaged one.
     """
 
     def __init__(self, path: Path) -> None:
@@ -120,11 +120,13 @@ class Recording:
 
     @property
     def imported(self) -> bool:
-        """Whether it was made from a table of another program."""
+        """Return whether it was imported from a table of another program."""
         return self.profile.get("kind") == "imported"
 
     def _try_out(self) -> None:
-        """Read all but the rows in a copy of this process: the HDF5 library can hang or crash on a damaged file."""
+        """Read everything except the rows in a copy of this process, because HDF5 can hang or crash on a damaged
+        file.
+        """
         answer = in_child(self._refusal, processor=_TRIAL_TIME, memory=_TRIAL_MEMORY)
         if answer is None:
             raise WrongUse(
@@ -136,7 +138,7 @@ class Recording:
             raise _REFUSALS[kind](message)
 
     def _refusal(self) -> bytes:
-        """Return "ok", or the name of the error and the sentence with which reading the header ends."""
+        """Return "ok", or the name and the sentence of the error that reading the header raises."""
         try:
             with open_file(self.path) as self._file, legible(self.path):
                 self._read_header()
@@ -147,7 +149,7 @@ class Recording:
         return b"ok"
 
     def _read_header(self) -> int:
-        """Read what stands before the rows, and return how many the file has room for."""
+        """Read everything before the rows, and return how many rows the file has room for."""
         refuse_foreign_storage(self._file, self.path)
         self.attributes = plain(self._file.attrs)
         names = self._renamed()
@@ -171,12 +173,12 @@ class Recording:
 
     @property
     def damaged(self) -> int:
-        """Rows of an unfinished recording that are not as they were written; they read as lost ones."""
+        """Return the number of rows of an unfinished recording that are not as written; they read as lost."""
         return len(self._damaged)
 
     @property
     def stand_toml(self) -> str:
-        """The stand file it was recorded with, "" without one."""
+        """Return the stand file it was recorded with, "" without one."""
         return str(self.attributes.get("stand_toml", ""))
 
     def rows(self, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
@@ -192,7 +194,7 @@ class Recording:
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` (None: the last) of one channel, (n,) float64 in its SI unit.
 
-        Raises Untrustworthy where the file is damaged.
+        Raises Untrustworthy if the file is damaged.
         """
         stop = self._length if stop is None else min(stop, self._length)
         return np.asarray(self._column(name, start, stop), dtype=np.float64)
@@ -210,15 +212,15 @@ class Recording:
             return [Event(float(time), str(code), str(message)) for time, code, message in rows]
 
     def truth(self) -> dict[str, float]:
-        """Return the simulator's own parameters, {} for a real stand. Identification never calls this."""
+        """Return the simulator's true parameters, {} for a real stand. Identification never calls this."""
         with legible(self.path):
             group = self._file.get("truth")
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self, progress: Progress | None = None) -> bool:
-        """Return whether all is as it was written: header, rows and events. Raises as reading them does.
+        """Return whether header, rows and events are as written. Raises as reading them does.
 
-        progress is called with the share of the rows that is checked. Recordings of older schemas are held to the
+        progress is called with the fraction of the rows checked. Recordings of older schemas are checked against the
         hash that they have; an unfinished one had none.
         """
         with legible(self.path):
@@ -226,7 +228,7 @@ class Recording:
             return intact_rows and self.header_intact()
 
     def header_intact(self) -> bool:
-        """Return whether attributes, profile and truth are as they were written, and the events of a finished one."""
+        """Return whether attributes, profile and truth are as written, and the events of a finished recording."""
         if self.attributes["schema"] != SCHEMA and "sha256_header" not in self.attributes:
             return True
         events = [] if self.live else self.events()
@@ -239,7 +241,7 @@ class Recording:
             return rows, events
 
     def check_unchanged(self) -> None:
-        """Raise Untrustworthy where it is not as it was written. Damaged rows of an unfinished one count as lost."""
+        """Raise Untrustworthy if it is not as written. Damaged rows of an unfinished recording count as lost."""
         if not (self.header_intact() if self.live else self.verify()):
             raise Untrustworthy(
                 f"{self.path} is not as it was written (its SHA-256 differs), so its rows cannot be trusted: use "
@@ -293,7 +295,7 @@ class Recording:
         return group
 
     def _renamed(self) -> Mapping[str, str]:
-        """Return the attributes of /profile that have another name now. Raises WrongUse for an unknown schema."""
+        """Return the old names of attributes of /profile in its schema. Raises WrongUse for an unknown schema."""
         schema = str(self.attributes.get("schema", ""))
         if not schema.startswith("hil-recording/"):
             raise WrongUse(f"{self.path} is HDF5 but not a recording of hil: bring its data in with `hil import`")
@@ -305,9 +307,10 @@ class Recording:
         return RENAMED[schema]
 
     def _count_live(self) -> int:
-        """Return the number of rows up to the last that was written, and note those that are damaged.
+        """Return the number of rows up to the last written one, and note the damaged ones.
 
-        A block of rows without a valid one ends the search: a day's run that has just begun is not read whole.
+        A block of rows without a valid one ends the search, so that a day-long run that has just begun is not read
+        completely.
         """
         live = self._file["live"]
         length, damaged = 0, [self._damaged]
@@ -331,7 +334,7 @@ class Recording:
 
 
 def _valid(rows: Rows, first: int) -> NDArray[np.int64]:
-    """Return the indices of the rows that are as they were written, where the first one's is `first`."""
+    """Return the indices of the rows that are as written; first: the index of the first one."""
     index = np.arange(first, first + len(rows))
     found: NDArray[np.int64] = index[(rows["seq"] == index.astype(np.uint64)) & intact(rows)]
     return found

@@ -19,8 +19,8 @@ _BLOCK = 1 << 20  # bytes copied at a time
 def rescue(file: int, final: Path) -> tuple[int, Path]:
     """Copy an open `.part` that has lost its name to a new one. Return the copy, open and locked, and its path.
 
-    final: what it would have become. The copy lies in its folder, or else in the working directory, the home folder or
-    the system's for temporary files. Raises WrongUse where none of them takes it.
+    final: the name it would have become. The copy is put in that folder, or else in the working directory, the home
+    folder or the system's temporary folder. Raises WrongUse if none of them can take it.
     """
     reasons = []
     for folder in _folders(final):

@@ -1,7 +1,7 @@
-"""Rows and events on their way from the control loop to the process that writes them, in memory that both share.
+"""The shared memory through which rows and events pass from the control loop to the writing process.
 
-One process puts, one takes, and neither waits for the other. The memory has a name, so that the rows outlive the death
-of both: `Ring.left` finds them. Imports no numpy, since the writing process must start soon.
+One process puts, one takes, and neither waits for the other. The memory has a name, so the rows survive the death of
+both processes: `Ring.left` finds them. Imports no numpy, so that the writing process starts quickly.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
 
 class Shape(NamedTuple):
-    """What a ring holds, and where it goes: rows of `row` bytes that fit, events of `event` bytes that fit.
+    """The sizes of a ring and its destination: room for rows of `row` bytes and for events of `event` bytes.
 
-    rows_at, events_at: byte offsets in the file of the first of each. The last event is what the writing process adds
-    where the recorder died.
+    rows_at, events_at: byte offsets of the first row and event in the file. The last event is the one that the writing
+    process adds if the recorder dies.
     """
 
     rows: int
@@ -58,9 +58,9 @@ class Ring:
 
     @classmethod
     def create(cls, shape: Shape, uid: str) -> Self:
-        """Return a new, empty one for the recording `uid`. Raises OSError where there is no room for it.
+        """Return a new, empty ring for the recording `uid`. Raises OSError if there is no room for it.
 
-        Those that runs of long ago have left and nobody has recovered are removed.
+        Rings of old runs that nobody has recovered are removed.
         """
         folders = _folders()
         for folder in folders:
@@ -97,7 +97,7 @@ class Ring:
 
     @classmethod
     def left(cls, uid: str) -> Self | None:
-        """Return that of the recording `uid` whose processes were all killed, None where they left none."""
+        """Return the ring of the recording `uid` whose processes were both killed, None if they left none."""
         for folder in _folders():
             with suppress(OSError, ValueError):  # none; somebody else's; one that a process has; a name that is none
                 path = _path(folder, uid)
@@ -115,22 +115,22 @@ class Ring:
 
     @property
     def put(self) -> int:
-        """Rows that were put so far."""
+        """Return the number of rows put so far."""
         return self._numbers[_PUT]
 
     @property
     def taken(self) -> int:
-        """Rows that were taken and are with the operating system."""
+        """Return the number of rows taken, which are with the operating system."""
         return self._numbers[_TAKEN]
 
     @property
     def events_taken(self) -> int:
-        """Events that were taken and are with the operating system."""
+        """Return the number of events taken, which are with the operating system."""
         return self._numbers[_EVENTS_TAKEN]
 
     @property
     def failure(self) -> int:
-        """The number of the system's error that ended the writing, 0 without one."""
+        """Return the number of the system error that ended the writing, 0 without one."""
         return self._numbers[_FAILURE]
 
     @failure.setter
@@ -139,15 +139,15 @@ class Ring:
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more will be put."""
+        """Return whether nothing more will be put."""
         return bool(self._numbers[_CLOSED])
 
     def end(self) -> None:
-        """Say that nothing more will be put."""
+        """Declare that nothing more will be put."""
         self._numbers[_CLOSED] = 1
 
     def add(self, row: bytes) -> int:
-        """Put a row; return how many are waiting. One for which there is no room is lost."""
+        """Put a row; return how many are waiting. A row without room is lost."""
         put = self._numbers[_PUT]
         waiting = put - self._numbers[_TAKEN]
         if waiting < self.shape.rows:
@@ -157,14 +157,14 @@ class Ring:
         return waiting + 1
 
     def add_event(self, event: bytes) -> None:
-        """Put an event. One for which there is no room is lost; the last place is that of `set_last_event`."""
+        """Put an event. An event without room is lost; the last place is reserved for `set_last_event`."""
         put = self._numbers[_EVENTS_PUT]
         if put < self.shape.events - 1:
             self._set_event(put, event)
             self._numbers[_EVENTS_PUT] = put + 1
 
     def set_last_event(self, event: bytes) -> None:
-        """Set the event for the case that the recorder dies."""
+        """Set the event that is written if the recorder dies."""
         self._set_event(self.shape.events - 1, event)
 
     def _set_event(self, place: int, event: bytes) -> None:
@@ -172,12 +172,12 @@ class Ring:
         self._memory[at : at + self.shape.event] = event
 
     def event(self, place: int) -> bytes:
-        """Return an event, by its place in the order in which they were put; -1 is the last event of all."""
+        """Return an event by its place in the order of putting; -1 is the reserved last event."""
         at = self._events + place % self.shape.events * self.shape.event
         return self._memory[at : at + self.shape.event]
 
     def waiting(self) -> bytes:
-        """Return rows that were put and not taken: all, or those up to the end of the memory."""
+        """Return rows put but not taken: all, or those up to the end of the memory."""
         taken, put = self._numbers[_TAKEN], self._numbers[_PUT]
         place = taken % self.shape.rows
         count = min(put - taken, self.shape.rows - place)
@@ -185,37 +185,37 @@ class Ring:
         return self._memory[at : at + count * self.shape.row]
 
     def take(self, rows: int) -> None:
-        """Say that `rows` rows of `waiting` are with the operating system."""
+        """Declare that `rows` rows of `waiting` are with the operating system."""
         self._numbers[_TAKEN] += rows
 
     def events_waiting(self) -> list[bytes]:
-        """Return the events that were put and not taken."""
+        """Return the events put but not taken."""
         return [self.event(place) for place in range(self._numbers[_EVENTS_TAKEN], self._numbers[_EVENTS_PUT])]
 
     def take_events(self, events: int) -> None:
-        """Say that `events` events of `events_waiting` are with the operating system."""
+        """Declare that `events` events of `events_waiting` are with the operating system."""
         self._numbers[_EVENTS_TAKEN] += events
 
     def remove(self) -> None:
-        """Remove its name, once all that was put is with the operating system. Harmless where it has none."""
+        """Remove its name, after everything put is with the operating system. Harmless if it has none."""
         self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Give the memory up."""
+        """Release the memory."""
         self._numbers.release()
         self._memory.close()
         os.close(self.file)
 
 
 def _folders() -> list[str]:
-    """Return where a ring may be: in memory, else on a disk, for which a row may have to wait."""
+    """Return the folders that a ring may be in: in memory first, else on a disk, where a row may have to wait."""
     with suppress(OSError):  # no folder for temporary files can be written
         return [_SHARED, tempfile.gettempdir()]
     return [_SHARED]
 
 
 def _path(folder: str, uid: str) -> Path:
-    """Return the name of the ring of the recording `uid`. Raises ValueError where that is not one that hil gives."""
+    """Return the name of the ring of the recording `uid`. Raises ValueError for a uid that hil does not give."""
     return Path(folder, _name(str(uuid.UUID(uid))))
 
 

@@ -35,7 +35,7 @@ from hil.recording.ring import Ring
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The part of a recording that is known before its first row: all but its samples, events and end."""
+    """The part of a recording that is known before its first row: all except samples, events and end."""
 
     profile: Mapping[str, str | float]
     stand_toml: str = ""
@@ -46,7 +46,7 @@ class Header:
 
 
 class Place(NamedTuple):
-    """An open `.part`, and the byte offsets of its rows and of its events."""
+    """An open `.part`, and the byte offsets of its rows and events."""
 
     file: int
     rows_at: int
@@ -54,14 +54,13 @@ class Place(NamedTuple):
 
 
 class RecordingWriter:
-    """A recording in progress, the `.part` of the file `final`. The control loop calls `append` and no HDF5.
+    """A recording in progress, the `.part` of the file `final`. The control loop calls `append` and never HDF5.
 
-    `length` rows are reserved on disk before anything moves. Rows are handed to the operating system in batches of
-    `batch` rows, so a killed process loses at most one batch; a thread makes them durable four times a second, so a
-    power cut loses little more. The file is locked until it is closed, so that nobody removes it.
-    path: of the `.part`. final: of the finished file. moved: a sentence, where both had to be put elsewhere. uid: the
-    recording's own, which no other has. Raises WrongUse where the disk cannot hold the run, NameTaken where another
-    recording has its name.
+    `length` rows are reserved on disk before anything moves. Rows are given to the operating system in batches of
+    `batch` rows, so a killed process loses at most one batch. A thread makes them durable four times a second, so a
+    power cut loses little more. The file is locked until it is closed, so that no other hil removes it. path: of the
+    `.part`. final: of the finished file. moved: a sentence if both had to be put elsewhere. uid: unique to this
+    recording. Raises WrongUse if the disk cannot hold the run, NameTaken if another recording has its name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
@@ -88,7 +87,9 @@ class RecordingWriter:
                 raise
 
     def _create(self, header: Header, length: int) -> None:
-        """Make the `.part` under another name: it appears when it is whole, so that a kill leaves none that is not."""
+        """Create the `.part` under a temporary name and rename it when complete, so that a kill leaves no incomplete
+        one.
+        """
         self._file, temporary = new_temporary(self.path)
         try:
             self._offset, self._event_offset = _fill_part(temporary, self.uid, header, length)
@@ -108,13 +109,13 @@ class RecordingWriter:
 
     @property
     def place(self) -> Place:
-        """Where another process writes the rows, until `resume`."""
+        """Return where another process is to write the rows, until `resume`."""
         if self._file is None:
             raise ValueError(f"{self.path} is closed")
         return Place(self._file, self._offset, self._event_offset)
 
     def resume(self, ring: Ring) -> None:
-        """Go on after what was taken from `ring`, with the rows and events that wait there. Raises Untrustworthy."""
+        """Continue after what was taken from `ring`, with the rows and events that wait there. Raises Untrustworthy."""
         self._rows, self._events = ring.taken, ring.events_taken
         while rows := ring.waiting():
             self._extend(rows)
@@ -136,7 +137,7 @@ class RecordingWriter:
         return self._rows + len(self._pending)
 
     def _reserve(self, length: int) -> None:
-        """Write the end mark over every row: a full disk shows now, not with the motor on."""
+        """Write the end mark over every row, so that a full disk shows now, before the motor is on."""
         blank = packed([Row(END_MARK)]) * min(BLOCK, length)
         for start in range(0, length, BLOCK):
             self._write(blank[: (length - start) * LIVE.itemsize], self._offset + start * LIVE.itemsize)
@@ -165,13 +166,13 @@ class RecordingWriter:
             ) from error
 
     def append(self, row: Row) -> None:
-        """Add one row. Raises Untrustworthy where the disk fails."""
+        """Add one row. Raises Untrustworthy if the disk fails."""
         self._pending.append(row)
         if len(self._pending) >= self._batch:
             self.flush()
 
     def extend(self, rows: Rows) -> None:
-        """Add many rows, (n,) of ROW, and hand them to the operating system. Raises Untrustworthy."""
+        """Add many rows, (n,) of ROW, and give them to the operating system. Raises Untrustworthy."""
         self._extend(packed_array(rows))
 
     def _extend(self, data: bytes) -> None:
@@ -179,15 +180,15 @@ class RecordingWriter:
         self._rows += len(data) // LIVE.itemsize
 
     def flush(self) -> None:
-        """Hand the pending rows to the operating system. Raises Untrustworthy where the disk fails."""
+        """Give the pending rows to the operating system. Raises Untrustworthy if the disk fails."""
         if self._pending:
             self._extend(packed(self._pending))
             self._pending.clear()
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Add an event at `time` s. Past the table's end it is dropped: samples matter more.
+        """Add an event at `time` s. If the table is full it is dropped: samples matter more.
 
-        Raises Untrustworthy where the disk fails.
+        Raises Untrustworthy if the disk fails.
         """
         if self._events < EVENTS:
             self._add_event(packed_event(time, code, message))
@@ -197,9 +198,9 @@ class RecordingWriter:
         self._events += 1
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
-        """Write the final file, remove the `.part` and return the file's path. The `.part` stays if that fails.
+        """Write the final file, remove the `.part` and return the file's path. If that fails, the `.part` stays.
 
-        force: replace a file of that name. Raises WrongUse, and Untrustworthy where the disk fails.
+        force: replace a file of that name. Raises WrongUse, and Untrustworthy if the disk fails.
         """
         self.flush()
         self._stop_syncing()
@@ -213,7 +214,7 @@ class RecordingWriter:
         return self.final
 
     def _rescue(self, *, force: bool) -> None:
-        """Copy the `.part`, which has lost its name, to a place of its own, and finish that one."""
+        """Copy the `.part`, which has lost its name, to a new name, and finish the copy."""
         assert self._file is not None  # noqa: S101 - the caller has looked
         gone = self.path
         copy, self.path = rescue(self._file, self.final)
@@ -229,14 +230,14 @@ class RecordingWriter:
             self._syncer.join()
 
     def close(self) -> None:
-        """Close the file and keep it as it is. Harmless when already closed."""
+        """Close the file and keep it as it is. Harmless if already closed."""
         self._stop_syncing()
         if self._file is not None:
             file, self._file = self._file, None
             os.close(file)
 
     def discard(self) -> None:
-        """Remove the recording, where it has no row worth keeping. Harmless when already closed."""
+        """Remove the recording, if it has no row worth keeping. Harmless if already closed."""
         self._pending.clear()
         self._stop_syncing()
         if self._file is not None and is_at(self._file, self.path):
@@ -250,7 +251,7 @@ def _taken(path: Path) -> NameTaken:
 
 
 def _fill_part(path: Path, uid: str, header: Header, length: int) -> tuple[int, int]:
-    """Make the locked file a `.part` without rows. Return the byte offsets of the rows and of the events."""
+    """Turn the locked file into a `.part` without rows. Return the byte offsets of the rows and of the events."""
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
         _write_header(file, uid, header)
         file.attrs.update(complete=False, end_reason="")
@@ -300,10 +301,10 @@ def _software() -> dict[str, str]:
 
 
 def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: bool = False) -> None:
-    """Write a whole recording at once, for data that was not recorded here.
+    """Write a complete recording at once, for data that was not recorded by hil.
 
-    channels: (n,) arrays in SI, named as in CHANNELS; a channel that is not given is NaN. force: replace a file of
-    that name. Raises WrongUse.
+    channels: (n,) arrays in SI, named as in CHANNELS; missing channels are NaN. force: replace a file of that name.
+    Raises WrongUse.
     """
     length = len(channels["time"])
     rows = np.full(length, np.array(Row(0), dtype=ROW))

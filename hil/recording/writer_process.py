@@ -1,7 +1,7 @@
 """The process that writes the rows of a run in real time, so that the control loop never waits for the disk.
 
-It takes them from a `Ring` until its standard input ends: closed by the recorder, or because the recorder is dead. Then
-it writes what is still in the ring, and where the recorder died adds the event that says so.
+It takes them from a `Ring` until its standard input ends, because the recorder closed it or died. Then it writes what
+is still in the ring and, if the recorder died, adds the event that says so.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def write(ring: Ring, file: int, recorder: int) -> None:
 
 
 def finish(ring: Ring, file: int) -> None:
-    """Write what the recorder has left in `ring`, durably, and remove its name. Raises OSError."""
+    """Write what the recorder left in `ring`, durably, and remove its name. Raises OSError."""
     drain(ring, file)
     if not ring.closed:
         _note_death(ring, file)
@@ -53,7 +53,7 @@ def finish(ring: Ring, file: int) -> None:
 
 
 def drain(ring: Ring, file: int) -> None:
-    """Write all that waits in `ring`. Raises OSError."""
+    """Write everything that waits in `ring`. Raises OSError."""
     shape = ring.shape
     while rows := ring.waiting():
         _write(file, rows, shape.rows_at + ring.taken * shape.row)
