@@ -27,7 +27,7 @@ _REQUESTS = 3
 
 
 class Admitted(NamedTuple):
-    """A command that passed. command: None where nothing is to be written. clipped: whether a limit changed it."""
+    """A command that passed. command: None if nothing is to be written. clipped: whether a limit changed it."""
 
     command: Command | None
     clipped: bool
@@ -71,11 +71,11 @@ class Gate:
 
     @property
     def armed(self) -> bool:
-        """Whether set-points are sent."""
+        """Return whether set-points are sent."""
         return self._limits is not None
 
     def require_open(self) -> None:
-        """Raise LinkLost where the servo is closed."""
+        """Raise LinkLost if the servo is closed."""
         if self._closed:
             raise LinkLost(f"{self._name} is closed")
 
@@ -83,7 +83,7 @@ class Gate:
         """Check a command and clamp it to the limits.
 
         `Command.rest()` always passes; it writes nothing while disarmed or where the servo has no torque set-point.
-        Raises UnsafeCommand for every other command that must not reach the device, LinkLost where the servo is closed.
+        Raises UnsafeCommand for every other command that must not reach the device, LinkLost if the servo is closed.
         """
         if not math.isfinite(command.value):
             raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
@@ -129,7 +129,7 @@ class Gate:
     def arming(self, limits: Limits) -> Iterator[None]:
         """Guard the block that enables the device; the servo is armed with `limits` when the block ends.
 
-        Where the block fails, torque-off is requested and the error goes on. Raises LinkLost where the servo is closed.
+        Where the block fails, torque-off is requested and the error goes on. Raises LinkLost if the servo is closed.
         """
         self.require_open()
         self._limits = None
@@ -158,7 +158,7 @@ class Gate:
     def disarm(self) -> None:
         """Request torque-off up to three times, until the device confirms it. No effect where it is off already.
 
-        Raises LinkLost where the link is gone, else DriverError, where it is not confirmed; it may be called again.
+        Raises LinkLost if the link is gone, else DriverError, where it is not confirmed; it may be called again.
         """
         self._limits = None
         if not self.live or self._closed:
@@ -202,7 +202,7 @@ class FallsSilent(Protocol):
 
 
 def to_counts(value: float, lsb: float) -> int:
-    """Return `value` in counts of `lsb`, rounded. Raises UnsafeCommand where the number cannot be encoded."""
+    """Return `value` in counts of `lsb`, rounded. Raises UnsafeCommand if the number cannot be encoded."""
     counts = value / lsb
     if not math.isfinite(counts):
         raise UnsafeCommand(f"set-point {value} cannot be encoded in counts of {lsb}: nothing was sent")
@@ -220,6 +220,6 @@ def watchdog_problem(table: str, watchdog: float, reply_timeout: float) -> str:
 
 
 def check_watchdog(table: str, watchdog: float, reply_timeout: float) -> None:
-    """Raise ValueError where `watchdog_problem` finds a reason."""
+    """Raise ValueError if `watchdog_problem` finds a reason."""
     if problem := watchdog_problem(table, watchdog, reply_timeout):
         raise ValueError(problem)

@@ -46,7 +46,7 @@ class OffPath:
 
     @property
     def reachable(self) -> bool:
-        """Whether another process can reach the drive: not where it is simulated in this one."""
+        """Return whether another process can reach the drive: not where it is simulated in this one."""
         return self.descriptor >= 0 or self.bus is not None
 
 

@@ -43,7 +43,7 @@ def serial_ports(sys: Path = _SYS) -> list[Port]:
 
 
 def serial_problem(port: Path, sys: Path = _SYS) -> str:
-    """Return the problem of `port` with the remedy, "" where it has none. The port is not opened."""
+    """Return the problem of `port` with the remedy, "" if it has none. The port is not opened."""
     real = port.resolve()
     if os.name == "posix":
         if not real.exists():

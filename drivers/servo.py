@@ -107,7 +107,7 @@ class Limits:
     """Limits that the drive must never exceed, at the motor shaft.
 
     torque: N m, magnitude. velocity: rad/s, magnitude. temperature: degC. position: rad, lowest and highest.
-    Raises ValueError where one is not a positive number or the positions are reversed.
+    Raises ValueError if one is not a positive number or the positions are reversed.
     """
 
     torque: float
@@ -128,7 +128,7 @@ class Limits:
         """Return the set-point clamped to the limits.
 
         Finiteness is checked first: `max(low, min(high, nan))` is `high`, which would be full torque.
-        Raises UnsafeCommand where the value is not finite.
+        Raises UnsafeCommand if the value is not finite.
         """
         if not math.isfinite(command.value):
             raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
@@ -143,7 +143,7 @@ class Sample:
     """The result of one round trip, which nobody changes; NaN where the stand has no such sensor.
 
     t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when another device read the
-    joint; NaN where none does. All on the servo's clock.
+    joint; NaN if none does. All on the servo's clock.
     motor_position rad, motor_velocity rad/s, motor_torque N m: at the motor shaft.
     joint_position rad, joint_torque N m: at the locked joint.
     temperature degC, voltage V.
@@ -172,9 +172,9 @@ class ServoInfo:
     """The identity of a servo and the resolution of its readings.
 
     quantities: the set-points it supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
-    shaft, NaN where not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
-    known. watchdog: s of silence after which the device turns its torque off by itself; 0 where it does not, or where
-    that is not known. watchdog_remedy: what to set so that it does; "" where it has no watchdog. serial_is_id: whether
+    shaft, NaN if not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
+    known. watchdog: s of silence after which the device turns its torque off by itself; 0 if it does not, or where
+    that is not known. watchdog_remedy: what to set so that it does; "" if it has no watchdog. serial_is_id: whether
     `serial` is no more than its number on the bus, since it reports no serial number. measures_when_off: whether it
     measures a torque while it is off; where not, its reading of zero then is no more than its word.
     """
@@ -208,7 +208,7 @@ class Servo(Protocol):
     def arm(self, limits: Limits) -> None:
         """Write the limits into the device where it has registers for them, then enable it at zero torque.
 
-        Raises DeviceFault where a fault is latched, DriverError where a limit is refused.
+        Raises DeviceFault if a fault is latched, DriverError if a limit is refused.
         """
 
     def exchange(self, command: Command) -> Sample:
@@ -219,7 +219,7 @@ class Servo(Protocol):
         """
 
     def disarm(self) -> None:
-        """Switch the torque off. Harmless when already off. Raises DriverError where the device does not confirm it."""
+        """Switch the torque off. Harmless when already off. Raises DriverError if the device does not confirm it."""
 
     def close(self) -> None:
         """Switch the torque off, then close the link. Harmless when already closed; never raises."""

@@ -32,7 +32,7 @@ class Driven(NamedTuple):
 
     @property
     def turned(self) -> float:
-        """The angle by which its last torque had turned the motor, rad; NaN where that was less than a tenth of the
+        """The angle by which its last torque had turned the motor, rad; NaN if that was less than a tenth of the
         limit, or of the angle's where it measures no torque.
         """
         turned = self.last.motor_position - self.rest

@@ -1,4 +1,4 @@
-"""The two ways a command can decline; drives have their own (`drivers.servo.DriverError`)."""
+"""The two errors with which a command refuses; drives have their own (`drivers.servo.DriverError`)."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def unknown(what: str, name: str, known: Iterable[str], more: str = "") -> Wrong
 
 
 def meant(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'X'? " for the nearest of the names known, in any case; "" where none is near."""
+    """Return "did you mean 'X'? " for the nearest of the names known, in any case; "" if none is near."""
     names = {one.casefold(): one for one in known}
     near = get_close_matches(name.casefold(), names, n=1)
     return f"did you mean {names[near[0]]!r}? " if near else ""
 
 
 def proposing(message: str) -> str:
-    """Return a message of another program's that lists the values there are, with the nearest of them at its end."""
+    """Return another program's message that lists the allowed values, with the nearest of them appended."""
     found = _LISTED.search(message)
     if found is None:
         return message

@@ -1,4 +1,4 @@
-"""The first run: the search is compiled by a second process while this one prepares the recording."""
+"""The first run: a second process compiles the search while this one prepares the recording."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from ga.trials.ahead import is_worthwhile
 from hil.child import command
 
 _processes: Final[list[subprocess.Popen[bytes]]] = []
-"""The one that compiles, while it does."""
+"""The process that compiles, while it does."""
 
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Let a process compile the search where it is not compiled yet and there is a second core; it ends with this.
+    """Start a process that compiles the search, if it is not compiled yet and there is a second core; it ends with this
+    one.
 
-    Within another `compiled_ahead`, whose process compiles already, nothing is done.
+    Inside another `compiled_ahead`, whose process already compiles, nothing is done.
     """
     process = None
     if not _processes and (os.cpu_count() or 1) > 1 and is_worthwhile():

@@ -25,7 +25,7 @@ class Plugin:
         return "an unnamed package" if self.point.dist is None else f"{self.point.dist.name} {self.point.dist.version}"
 
     def load(self, *kinds: type) -> Any:
-        """Return what it names, of one of these kinds. Raises WrongUse where it cannot be loaded."""
+        """Return what it names, of one of these kinds. Raises WrongUse if it cannot be loaded."""
         try:
             found = self.point.load()
         except (Exception, SystemExit) as error:

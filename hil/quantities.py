@@ -62,7 +62,7 @@ def _values(values: list[Any], hint: Any) -> tuple[list[Any], dict[Place, str]]:
 
 
 def unit_of(hint: Any) -> str | None:
-    """Return the SI unit that a type names, None where it is no physical quantity."""
+    """Return the SI unit that a type names, None if it is no physical quantity."""
     return next((part.unit for part in _parts(hint) if isinstance(part, Unit)), None)
 
 

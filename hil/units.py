@@ -33,10 +33,10 @@ SI: Mapping[str, str] = MappingProxyType(
         "temperature": "degC",
     }
 )
-"""The dimensions that are known, and the SI unit of each."""
+"""The known dimensions, and the SI unit of each."""
 
 LEVER: Mapping[str, str] = MappingProxyType({"mass": "kg", "length": "m"})
-"""The dimensions of a known load on a lever, which no channel of a recording has."""
+"""The dimensions of a load on a lever, which no channel of a recording has."""
 
 DRIVES: Mapping[str, str] = MappingProxyType(
     {
@@ -52,7 +52,7 @@ DRIVES: Mapping[str, str] = MappingProxyType(
         "torque drift": "N*m/s",
     }
 )
-"""The dimensions of what only a drive or its simulation has."""
+"""The dimensions that only a drive or its simulation has."""
 
 COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -165,7 +165,7 @@ def factor(dimension: str, unit: str) -> float:
 
 @lru_cache(maxsize=1024)
 def known(dimension: str, unit: str) -> float | None:
-    """Return the factor from `unit` to SI, None where it is no unit of the dimension, or can be two different ones.
+    """Return the factor from `unit` to SI, None if it is no unit of the dimension, or can be two different ones.
 
     Case matters: a capital letter is another prefix. Only a text all in small letters, or all in capitals and without a
     prefix, is read in any case: "torque_mnm" and "TIME_S" are certain, "MNM" is not. A mass stands for its weight where
@@ -188,7 +188,7 @@ def dimension_of(unit: str) -> str:
 
 
 def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
-    """Return the number of "10 deg" or "10", in SI, and its dimension, one of `dimensions`; None where it has no unit.
+    """Return the number of "10 deg" or "10", in SI, and its dimension, one of `dimensions`; None if it has no unit.
 
     Raises WrongUse for what is neither.
     """
@@ -202,7 +202,7 @@ def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
 
 
 def _in_si(text: str, number: float, unit: str, dimensions: tuple[str, ...]) -> tuple[float, str | None]:
-    """Return the number in SI, and the first of these dimensions that has the unit; None where there is no unit."""
+    """Return the number in SI, and the first of these dimensions that has the unit; None if there is no unit."""
     if not unit:
         return number, None
     for dimension in dimensions:
@@ -238,7 +238,7 @@ _NOT_PARSED = (
 
 
 def _factor(dimension: str, expression: str) -> float | None:
-    """Return the factor of an expression that the registry can parse, None where it has another dimension."""
+    """Return the factor of an expression that the registry can parse, None if it has another dimension."""
     import pint
 
     registry = _registry()
@@ -316,7 +316,9 @@ def _pairs(word: str) -> list[str]:
 
 @lru_cache(maxsize=4096)
 def _is_unit(word: str) -> bool:
-    """Return whether the registry knows the word. A plural's "s" counts for written-out names only, not for symbols."""
+    """Return whether the registry knows the word. A plural "s" is accepted for written-out names only, not for
+    symbols.
+    """
     found = _registry().parse_unit_name(word)
     return any(
         not plural or len(word) > _SHORT or word in {"degs", "rads", "revs", "secs", "mins"} for *_, plural in found

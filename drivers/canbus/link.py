@@ -127,7 +127,7 @@ def _multicast(channel: str) -> can.BusABC:
 
 
 def _check_free(config: BusConfig) -> None:
-    """Raise DriverError where another program has the serial adapter open: python-can would close its channel."""
+    """Raise DriverError if another program has the serial adapter open: python-can would close its channel."""
     if "://" in config.channel:
         return
     try:
@@ -180,9 +180,9 @@ class CanLink:
             raise self._lost(error) from None
 
     def receive(self, deadline: float) -> can.Message | None:
-        """Return the next frame, None where none arrived by `deadline` s on the clock; reads at least once.
+        """Return the next frame, None if none arrived by `deadline` s on the clock; reads at least once.
 
-        Raises LinkLost, BadReply where the bytes are no frame.
+        Raises LinkLost, BadReply if the bytes are no frame.
         """
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
@@ -260,7 +260,7 @@ class CanLink:
         return message
 
     def _unread(self) -> bool:
-        """Whether a serial adapter has more bytes to read; it also sends lines that are no frames."""
+        """Return whether a serial adapter has more bytes to read; it also sends lines that are no frames."""
         if self._port is None:
             return False
         try:
@@ -282,7 +282,7 @@ class CanLink:
 
 
 def _is_full(error: Exception) -> bool:
-    """Whether a frame was refused because SocketCAN's queue or a serial adapter is full."""
+    """Return whether a frame was refused because SocketCAN's queue or a serial adapter is full."""
     if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
         return True
     return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)

@@ -65,7 +65,7 @@ class Requests:
     def ask(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
         """Send `frames` and return the data of one reply of each wanted kind.
 
-        Raises NoReply, BadReply where a reply is cut short, LinkLost.
+        Raises NoReply, BadReply if a reply is cut short, LinkLost.
         """
         frames, wanted = list(frames), list(wanted)
         return self.repeats(lambda: self.ask_once(frames, wanted))
@@ -96,7 +96,7 @@ class Requests:
         return got
 
     def refuse_unrequested(self) -> None:
-        """Raise BadReply where a reply arrived without a request, once no more has arrived for `LATE`."""
+        """Raise BadReply if a reply arrived without a request, once no more has arrived for `LATE`."""
         self.process()
         if self.unrequested:
             self.wait_until(LATE, lambda: False)
@@ -107,26 +107,26 @@ class Requests:
             )
 
     def check_alone(self, kind: Hashable) -> None:
-        """Raise BadReply where a second drive replies to the last request, which was for `kind`."""
+        """Raise BadReply if a second drive replies to the last request, which was for `kind`."""
         if self.wait_until(SECOND_REPLY, lambda: kind in self.unrequested):
             raise garbled(self.name, "it answers twice")
 
     def send_now(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
         """Send `frames` at once, without waiting for replies that are still due: torque-off must not wait.
 
-        The replies of the kinds `wanted` become due. Raises NoReply where the bus accepts no frame, LinkLost.
+        The replies of the kinds `wanted` become due. Raises NoReply if the bus accepts no frame, LinkLost.
         """
         self._due.update(wanted)
         for message in frames:
             self._link.send(message)
 
     def send(self, frames: Iterable[can.Message]) -> None:
-        """Send frames that have no reply. Raises NoReply where the bus accepts no frame, LinkLost."""
+        """Send frames that have no reply. Raises NoReply if the bus accepts no frame, LinkLost."""
         for message in frames:
             self._link.send(message)
 
     def process(self) -> None:
-        """Process all received frames. Raises LinkLost, BadReply where the bus never falls silent."""
+        """Process all received frames. Raises LinkLost, BadReply if the bus never falls silent."""
         for message in self._link.waiting():
             self._take(message)
 

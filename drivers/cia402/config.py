@@ -13,7 +13,7 @@ from drivers.gate import check_watchdog
 
 @dataclass(frozen=True, slots=True)
 class Cia402Config:
-    """The [cia402] table of stand.toml. Raises ValueError where two keys do not fit each other.
+    """The [cia402] table of stand.toml. Raises ValueError if two keys do not fit each other.
 
     interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: its node id.
     own_id: the node id under which we send our heartbeat. torque_constant: N m/A; needed for the epos2, read from the

@@ -26,7 +26,7 @@ _REVOLUTIONS_PER_MINUTE = 0xB447
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """One count in SI: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN where not known."""
+    """One count in SI: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN if not known."""
 
     position: float
     velocity: float
@@ -56,7 +56,7 @@ class Nameplate:
         self._link = link
 
     def identify(self) -> Identity:
-        """Return its identity. Raises NoReply, BadReply where several drives reply, DriverError for another kind."""
+        """Return its identity. Raises NoReply, BadReply if several drives reply, DriverError for another kind."""
         try:
             kind = self._objects.get(_DEVICE_TYPE) & 0xFFFF
             self._check_alone()
@@ -74,7 +74,7 @@ class Nameplate:
         return Identity(self._name(), f"{serial:08x}", f"{revision >> 16:04x} (product 0x{product:08x})")
 
     def scale(self) -> Scale:
-        """Return the value of its counts. Raises DriverError where drive and stand file differ, or neither has it."""
+        """Return the value of its counts. Raises DriverError if drive and stand file differ, or neither has it."""
         reported = self._objects.get(self._profile.resolution) * self._profile.resolution_factor
         counts = self._agreed("resolution", self._config.resolution, reported, "counts a turn")
         constant = self._torque_constant()
@@ -82,7 +82,7 @@ class Nameplate:
         return Scale(math.tau / counts, self._velocity_unit(), torque, constant)
 
     def _check_alone(self) -> None:
-        """Raise BadReply where a second drive replies to the last request."""
+        """Raise BadReply if a second drive replies to the last request."""
         answers = self._network.node.sdo.responses
         if self._network.requests.wait_until(SECOND_REPLY, lambda: not answers.empty()) or self._link.error_frames:
             raise BadReply(
@@ -91,7 +91,7 @@ class Nameplate:
             )
 
     def _check_kind(self) -> None:
-        """Raise DriverError where the drive lacks an object of its profile."""
+        """Raise DriverError if the drive lacks an object of its profile."""
         for place in (self._profile.target, self._profile.torque, self._profile.resolution, self._profile.speed_limit):
             try:
                 self._objects.get(place)

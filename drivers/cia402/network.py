@@ -48,7 +48,7 @@ class Refused(DriverError):
 
     @property
     def missing(self) -> bool:
-        """Whether the object does not exist."""
+        """Return whether the object does not exist."""
         return self.code in {0x06020000, 0x06090011}
 
 
@@ -103,7 +103,7 @@ class LinkedNetwork(Network):
         self[ident] = self.node
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame. Raises LinkLost, NoReply where no node on the bus acknowledges."""
+        """Send a frame. Raises LinkLost, NoReply if no node on the bus acknowledges."""
         self._link.send(frame(can_id, bytes(data or b""), remote=remote))
 
     def read(self, place: ObjectIndex) -> bytes:

@@ -241,7 +241,7 @@ class Node:
 
     @property
     def away(self) -> bool:
-        """Whether a heartbeat since `prepare` reports that it was restarted or is not operational."""
+        """Return whether a heartbeat since `prepare` reports that it was restarted or is not operational."""
         return self._restarted or self._stopped
 
     def error_code(self) -> int:
@@ -268,7 +268,7 @@ class Node:
     # -- stopping ---------------------------------------------------------------------------------------------------
 
     def stop(self, *, wake: bool = False) -> None:
-        """Switch the torque off by PDO at once, and by SDO with a read-back. Raises DriverError where it is still on.
+        """Switch the torque off by PDO at once, and by SDO with a read-back. Raises DriverError if it is still on.
 
         wake: make the node pre-operational in between, since a stopped one accepts neither; its PDOs are off then.
         """

@@ -27,7 +27,7 @@ class ObjectIndex(NamedTuple):
 
 
 class Profile(BaseModel):
-    """One kind of drive: the indexes of its objects, None where it has none; each `_unit` is one count in SI.
+    """One kind of drive: the indexes of its objects, None if it has none; each `_unit` is one count in SI.
 
     per_mille: whether set-point and torque are thousandths of the rated torque; otherwise they are mA.
     """
@@ -64,7 +64,7 @@ class Profile(BaseModel):
 
 
 def profile(name: str) -> Profile:
-    """Return the profile `name`. Raises KeyError where there is none."""
+    """Return the profile `name`. Raises KeyError if there is none."""
     return Profile.model_validate(table("cia402")["profiles"][name])
 
 

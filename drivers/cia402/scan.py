@@ -27,7 +27,7 @@ _PACE, _AFTER = 5e-4, 0.2
 def search(config: Cia402Config, clock: Clock | None = None, bus: can.BusABC | None = None) -> list[str]:
     """Return a sentence for every CANopen node that replies; only read requests are sent.
 
-    clock, bus: those of the machine unless a test gives its own. Raises DriverError where the bus cannot be opened.
+    clock, bus: those of the machine unless a test gives its own. Raises DriverError if the bus cannot be opened.
     """
     clock = clock or MonotonicClock()
     link = CanLink(config.bus, clock, bus)

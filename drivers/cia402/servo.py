@@ -38,8 +38,8 @@ class Cia402Servo:
     """One drive, opened, identified, its PDOs mapped, and without torque.
 
     clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN, since the drive does
-    not report it. Raises DriverError where the bus cannot be opened or the drive is of another kind, NoReply where no
-    drive replies, BadReply where several do.
+    not report it. Raises DriverError if the bus cannot be opened or the drive is of another kind, NoReply if no
+    drive replies, BadReply if several do.
     """
 
     def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -80,7 +80,7 @@ class Cia402Servo:
         """Write the limits into the drive and read them back, then enable it in its torque mode at zero torque.
 
         From then on the drive watches our heartbeat. A latched loss of the heartbeat is cleared. Raises DeviceFault
-        where another fault is latched, DriverError where a limit is refused or the drive is not enabled; the torque is
+        where another fault is latched, DriverError if a limit is refused or the drive is not enabled; the torque is
         off then.
         """
         self._most = min(_LARGEST, math.floor(limits.torque / self._scale.torque * (1.0 + 1e-9)))

@@ -12,7 +12,7 @@ from drivers.gate import check_watchdog
 
 @dataclass(frozen=True, slots=True)
 class CommanderConfig:
-    """The [commander] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+    """The [commander] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
     port: the serial port. torque_constant: N m/A at the motor shaft. watchdog: s of silence after which the board's
     program disables the motor; 0: it has no such rule, as in the library's examples, and the motor stays live when this

@@ -52,7 +52,7 @@ class CommanderLink:
     def exchange(self, commands: list[str], wanted: Callable[[str], T | None], what: str) -> T:
         """Send `commands`, and return the first result of `wanted` that is not None for a received line.
 
-        Raises NoReply where nothing arrived, BadReply where only other lines arrived, LinkLost.
+        Raises NoReply if nothing arrived, BadReply if only other lines arrived, LinkLost.
         """
         return self.repeats(lambda: self._exchange_once(commands, wanted, what))
 
@@ -106,7 +106,7 @@ class CommanderLink:
         self._port.close()
 
     def _settle(self) -> None:
-        """Wait for late replies. Raises BadReply where the line does not fall silent."""
+        """Wait for late replies. Raises BadReply if the line does not fall silent."""
         if not self._quarantined:
             return
         end = self._clock.now() + _PATIENCE

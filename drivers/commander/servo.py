@@ -48,8 +48,8 @@ class CommanderServo:
     """One motor, opened, identified, and disabled.
 
     clock, port: those of the machine unless a test gives its own. info: the counts and the version are not known, since
-    the board does not report them. Raises DriverError where the port cannot be opened or the board lacks the motor,
-    NoReply where no board replies, BadReply where the replies are not Commander's.
+    the board does not report them. Raises DriverError if the port cannot be opened or the board lacks the motor,
+    NoReply where no board replies, BadReply if the replies are not Commander's.
     """
 
     def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: OpenPort | None = None) -> None:
@@ -87,7 +87,7 @@ class CommanderServo:
 
         The current limit is the torque limit; before library 2.4 it does not act on a target in torque mode, which is
         clamped here. The velocity limit acts in the board's velocity and angle modes only.
-        Raises DriverError where a setting is refused; the motor is disabled then.
+        Raises DriverError if a setting is refused; the motor is disabled then.
         """
         current = limits.torque / self._config.torque_constant
         if current < RESOLUTION:
@@ -228,7 +228,7 @@ class CommanderServo:
         retry(request)
 
     def _set(self, command: str, head: str, wanted: str) -> None:
-        """Change a setting of the motor. Raises DriverError where the board does not confirm it."""
+        """Change a setting of the motor. Raises DriverError if the board does not confirm it."""
         reply = self._link.ask(f"{self._m}{command}", f"{self._m}{head}")
         if reply != wanted:
             raise DriverError(
@@ -236,7 +236,7 @@ class CommanderServo:
             )
 
     def _limit(self, command: str, value: float, name: str) -> None:
-        """Set a limit, rounded down, and read it back. Raises DriverError where the board has another."""
+        """Set a limit, rounded down, and read it back. Raises DriverError if the board has another."""
         text = f"{math.floor(value * 1e5) / 1e5:.5f}"
         kept = number(self._link.ask(f"{self._m}{command}{text}", f"{self._m}{command}"))
         if kept is None or abs(kept - float(text)) > 1e-4 * value:
@@ -275,7 +275,7 @@ class CommanderServo:
         return self._link.exchange(commands, both, "the state")
 
     def _check_enabled(self, enabled: str) -> None:
-        """Raise DeviceFault where an armed motor is off; switch off a motor that is on while disarmed."""
+        """Raise DeviceFault if an armed motor is off; switch off a motor that is on while disarmed."""
         if not self._gate.armed:
             if enabled == "1":
                 self._gate.force_off()
@@ -288,7 +288,7 @@ class CommanderServo:
             )
 
     def _raise_restarted(self) -> None:
-        """Raise DeviceFault where the board prints in the format of a start, BadReply where the reply is neither."""
+        """Raise DeviceFault if the board prints in the format of a start, BadReply if the reply is neither."""
         try:
             reply = self._link.ask("@", "@")
         except BadReply as error:

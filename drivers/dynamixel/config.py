@@ -24,7 +24,7 @@ Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
 
 @dataclass(frozen=True, slots=True)
 class DynamixelConfig:
-    """The [dynamixel] table of stand.toml. Raises ValueError where model and mode do not fit each other.
+    """The [dynamixel] table of stand.toml. Raises ValueError if model and mode do not fit each other.
 
     port: the serial port. model: a name in dynamixel/table.toml. mode: the operating mode; None: current where the
     model measures it. torque_constant: N m/A at the horn; None: an estimate from the model's stall points. sign: 1
@@ -79,7 +79,7 @@ class DynamixelConfig:
     def for_quantity(self, quantity: Quantity) -> Self:
         """Return the configuration that commands `quantity`; positions within the torque limit where the model can.
 
-        Raises ValueError where the stated mode commands something else, or no mode of the model does.
+        Raises ValueError if the stated mode commands something else, or no mode of the model does.
         """
         current = bool(models()[self.model].current_lsb)
         if self.mode is not None:

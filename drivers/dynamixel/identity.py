@@ -27,7 +27,7 @@ RETURN_DELAY_LSB = 2e-6
 def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Series) -> str:
     """Check the model, make it reply to every request, and read its return delay. Returns its firmware version.
 
-    Raises NoReply, BadReply where several reply at once, DriverError for another model or firmware without a watchdog.
+    Raises NoReply, BadReply if several reply at once, DriverError for another model or firmware without a watchdog.
     """
     number, firmware = _model_and_firmware(bus, table, series)
     model = models()[config.model]
@@ -56,7 +56,7 @@ def _confirm_writes(bus: Bus, table: ControlTable, series: Series, level: int | 
     """Set Status Return Level: an X servo, which forgets it without power, may not even answer reads before.
 
     An MX servo keeps it, so its own value is restored afterwards; it is locked while the torque is on. level: that
-    value where the servo answers no read, None where it is read.
+    value where the servo answers no read, None if it is read.
     """
     if not _keeps_level(series):
         bus.send(series.registers["status_return_level"].address, b"\x02")
@@ -97,7 +97,7 @@ def _answers_pings_only(bus: Bus) -> bool:
 
 
 def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
-    """Return model and firmware of a servo that answers pings only. Raises NoReply where it stays so."""
+    """Return model and firmware of a servo that answers pings only. Raises NoReply if it stays so."""
     try:
         _confirm_writes(bus, table, series, level=0)
         return retry(lambda: series.identity(bus))

@@ -24,7 +24,7 @@ class DynamixelRegister:
     signed: bool
 
     def encoded(self, value: int) -> bytes:
-        """Return the bytes of `value`. Raises OverflowError where it does not fit."""
+        """Return the bytes of `value`. Raises OverflowError if it does not fit."""
         return value.to_bytes(self.size, "little", signed=self.signed)
 
     def decoded(self, data: bytes) -> int:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 class DynamixelState(NamedTuple):
-    """One reading at the horn, with the servo's own sign. tick: ms of its clock, None where it cannot be read.
+    """One reading at the horn, with the servo's own sign. tick: ms of its clock, None if it cannot be read.
 
-    position in counts over any number of turns, velocity rad/s, current A (NaN where none is measured), voltage V,
+    position in counts over any number of turns, velocity rad/s, current A (NaN if none is measured), voltage V,
     temperature degC.
     """
 
@@ -52,7 +52,7 @@ class Series(Protocol):
         """Return the reading in the bytes of `block`."""
 
     def ceiling(self, torque: float) -> int:
-        """Return `torque` N m in counts of the servo's torque limit, rounded down; 0 where it has none."""
+        """Return `torque` N m in counts of the servo's torque limit, rounded down; 0 if it has none."""
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """With the torque off, write mode and limits and read them back."""
@@ -64,7 +64,7 @@ class Series(Protocol):
         """Return address and bytes of a set-point of `counts` of current or position, and its counts after clamping."""
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """Raise DeviceFault where an error is latched."""
+        """Raise DeviceFault if an error is latched."""
 
     def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
-        """Raise DeviceFault where an armed servo has stopped by itself."""
+        """Raise DeviceFault if an armed servo has stopped by itself."""

@@ -34,8 +34,8 @@ class DynamixelServo:
     """One servo, opened, identified, with its torque off and its return delay as in a run.
 
     clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
-    gives the constant. Raises DriverError where the port cannot be opened or another model replies, NoReply where no
-    servo does, BadReply where the replies cannot be decoded.
+    gives the constant. Raises DriverError if the port cannot be opened or another model replies, NoReply if no
+    servo does, BadReply if the replies cannot be decoded.
     """
 
     def __init__(self, config: DynamixelConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
@@ -80,7 +80,7 @@ class DynamixelServo:
 
         In the position modes the servo then holds its position. Torque, temperature and velocity limits are written to
         the servo's registers, each no higher than the model's.
-        Raises DeviceFault where a fault is latched, DriverError where a register is refused; the torque is off then.
+        Raises DeviceFault if a fault is latched, DriverError if a register is refused; the torque is off then.
         """
         self._ceiling = ceiling = self._torque_counts(limits)
         with self._gate.arming(limits):
@@ -165,7 +165,7 @@ class DynamixelServo:
         return self._model.current_lsb * self._constant
 
     def _torque_counts(self, limits: Limits) -> int:
-        """Return the torque limit in counts of current. Raises DriverError where it is below one."""
+        """Return the torque limit in counts of current. Raises DriverError if it is below one."""
         if not self._model.current_lsb:
             return 0
         counts = self._series.ceiling(limits.torque)
@@ -186,7 +186,7 @@ class DynamixelServo:
         self._last_request = self.clock.now()
 
     def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
-        """Return address and bytes of the set-point, None where nothing is written; and whether it was clipped."""
+        """Return address and bytes of the set-point, None if nothing is written; and whether it was clipped."""
         command = admitted.command
         if command is None:
             return None, False
@@ -228,7 +228,7 @@ class DynamixelServo:
         raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
 
     def _look_for_faults(self) -> None:
-        """Raise DeviceFault where the servo has latched an error or stopped by itself."""
+        """Raise DeviceFault if the servo has latched an error or stopped by itself."""
         self._series.raise_latched(self._bus, self._table)
         if self._gate.armed:
             self._series.raise_stopped(self._bus, self._table)

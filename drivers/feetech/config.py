@@ -25,7 +25,7 @@ _CELL = 'put a torque cell at the joint ([joint_sensor] and torque_source = "joi
 
 @dataclass(frozen=True, slots=True)
 class FeetechConfig:
-    """The [feetech] table of stand.toml. Raises ValueError where model and mode do not fit each other.
+    """The [feetech] table of stand.toml. Raises ValueError if model and mode do not fit each other.
 
     port: the serial port. model: a name in feetech/table.toml. id: of the servo; a new one has 1. baudrate: bit/s; a
     new servo has 1000000. mode: "position", or "torque" with an HLS; None: as the recording commands. torque_constant:
@@ -63,7 +63,7 @@ class FeetechConfig:
         return self.mode or ("torque" if models()[self.model].has_torque_mode else "position")
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the configuration that commands `quantity`. Raises ValueError where the model or `mode` cannot."""
+        """Return the configuration that commands `quantity`. Raises ValueError if the model or `mode` cannot."""
         mode: Mode = "torque" if quantity is Quantity.TORQUE else "position"
         if mode == "torque" and not models()[self.model].has_torque_mode:
             raise ValueError(

@@ -27,7 +27,7 @@ _PATIENCE = 0.02  # s
 def identify(bus: Bus, config: FeetechConfig) -> str:
     """Check the model, keep its EEPROM from being changed, and make it reply to everything. Returns its firmware.
 
-    Raises NoReply, BadReply where several servos reply at once, DriverError for another model, an unknown one (with its
+    Raises NoReply, BadReply if several servos reply at once, DriverError for another model, an unknown one (with its
     registers), or firmware without the registers that are needed.
     """
     try:
@@ -46,7 +46,7 @@ def identify(bus: Bus, config: FeetechConfig) -> str:
 
 
 def _check(bus: Bus, config: FeetechConfig, head: bytes) -> None:
-    """Raise DriverError where bytes 0 to 4 are not those of the model in the stand file."""
+    """Raise DriverError if bytes 0 to 4 are not those of the model in the stand file."""
     model = models()[config.model]
     number, firmware = (head[3], head[4]), (head[0], head[1])
     name = name_of(number)

@@ -27,7 +27,7 @@ class FeetechRegister:
     big: bool
 
     def encoded(self, value: int) -> bytes:
-        """Return the bytes of `value`, magnitude and sign. Raises OverflowError where it does not fit."""
+        """Return the bytes of `value`, magnitude and sign. Raises OverflowError if it does not fit."""
         limit = 1 << (self.sign_bit or 8 * self.size)
         if abs(value) >= limit or (value < 0 and not self.sign_bit):
             raise OverflowError(f"{value} does not fit into the {self.size} byte(s) at {self.address}")
@@ -60,12 +60,12 @@ class FeetechModel:
 
     @property
     def has_torque_mode(self) -> bool:
-        """Whether a current can be commanded."""
+        """Return whether a current can be commanded."""
         return self.family == "hls"
 
     @property
     def has_current(self) -> bool:
-        """Whether a current is measured."""
+        """Return whether a current is measured."""
         return self.family != "scs"
 
     @property
@@ -75,7 +75,7 @@ class FeetechModel:
 
     @property
     def turn(self) -> int:
-        """Counts after which the position begins again; 0 where it does not."""
+        """Counts after which the position begins again; 0 if it does not."""
         return 0 if self.family == "scs" else 4096
 
 
@@ -99,5 +99,5 @@ def models() -> dict[str, FeetechModel]:
 
 
 def name_of(number: tuple[int, int]) -> str:
-    """Return the name of the servo with main and sub version `number`, "" where it is not known."""
+    """Return the name of the servo with main and sub version `number`, "" if it is not known."""
     return next((name for name, model in models().items() if model.number == number), "")

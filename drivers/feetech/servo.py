@@ -40,8 +40,8 @@ class FeetechServo:
     """One servo, opened, identified, with its torque off.
 
     clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
-    gives the constant. Raises DriverError where the port cannot be opened or another model replies, NoReply where no
-    servo does, BadReply where the replies cannot be decoded.
+    gives the constant. Raises DriverError if the port cannot be opened or another model replies, NoReply if no
+    servo does, BadReply if the replies cannot be decoded.
     """
 
     def __init__(self, config: FeetechConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
@@ -82,7 +82,7 @@ class FeetechServo:
 
         In position mode the servo then holds its position. The torque limit is rounded down; temperature and velocity
         limits are written too, the first no higher than the factory's.
-        Raises DeviceFault where an error is reported, DriverError where a register is refused; the torque is off then.
+        Raises DeviceFault if an error is reported, DriverError if a register is refused; the torque is off then.
         """
         ceiling = self._torque_counts(limits)
         with self._gate.arming(limits):
@@ -153,7 +153,7 @@ class FeetechServo:
             raise
 
     def _switch(self, *, on: bool) -> None:
-        """Write Torque Enable(40), 0 or 1 and nothing else, and read it back. Raises DriverError where it differs."""
+        """Write Torque Enable(40), 0 or 1 and nothing else, and read it back. Raises DriverError if it differs."""
         self._table.put("torque_enable", int(on))
         # three bytes, so that the late reply to another request cannot be taken for the confirmation
         if self._bus.read(self._registers["torque_enable"].address, 3)[0] != int(on):
@@ -184,7 +184,7 @@ class FeetechServo:
         )
 
     def _torque_counts(self, limits: Limits) -> int:
-        """Return the torque limit in the servo's counts. Raises DriverError where it is below one."""
+        """Return the torque limit in the servo's counts. Raises DriverError if it is below one."""
         lsb = self._torque_lsb if self._model.has_torque_mode else self._model.stall / 1000.0
         counts = min(math.floor(limits.torque / lsb + 1e-9), _HIGHEST_CURRENT if self._model.has_torque_mode else 1000)
         if counts < 1:
@@ -223,7 +223,7 @@ class FeetechServo:
         self._last_reply = self.clock.now()
 
     def _find_range(self) -> None:
-        """Find the goals that the servo accepts. Raises DriverError where the present position is not among them."""
+        """Find the goals that the servo accepts. Raises DriverError if the present position is not among them."""
         low, high = self._table.get("min_position_limit"), self._table.get("max_position_limit")
         if low == high == 0 and self._model.turn:
             low, high = -_LARGEST, _LARGEST
@@ -235,7 +235,7 @@ class FeetechServo:
         self._range = (low, high)
 
     def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
-        """Return address and bytes of the set-point, None where nothing is written; and whether it was clipped."""
+        """Return address and bytes of the set-point, None if nothing is written; and whether it was clipped."""
         command = admitted.command
         if command is None:
             return None, False
@@ -279,7 +279,7 @@ class FeetechServo:
             raise reported(self._bus.alert)
 
     def _look_for_faults(self) -> None:
-        """Raise DeviceFault where the servo reports an error or has stopped by itself."""
+        """Raise DeviceFault if the servo reports an error or has stopped by itself."""
         self._raise_reported()
         if self._bus.read(self._registers["torque_enable"].address, 3)[0] != 1:
             raise restarted()

@@ -20,7 +20,7 @@ _CHECKED = re.compile(r"(.*)\*([0-9A-Fa-f]{2})")
 
 
 class Reading(NamedTuple):
-    """One reading. micros: of the board's clock, None where not printed. value: in counts, or as printed."""
+    """One reading. micros: of the board's clock, None if not printed. value: in counts, or as printed."""
 
     micros: int | None
     value: float
@@ -29,7 +29,7 @@ class Reading(NamedTuple):
 def parsed(line: str, form: LineFormat) -> Reading:
     """Return the reading in a line, which may end in `*` and the exclusive or of its characters in two hex digits.
 
-    Raises BadReply where it has none, where it is damaged, or where the converter is beyond its range.
+    Raises BadReply if it has none, where it is damaged, or where the converter is beyond its range.
     """
     text = line.strip(" \t")
     checked = _CHECKED.fullmatch(text)

@@ -32,7 +32,7 @@ class LoadCell:
     """An open cell, tared. The joint must be without torque while it is opened: the drive's torque is off then.
 
     tare: the value without torque, in counts or as printed: the table's, or the median while the cell was opened.
-    Raises DriverError where the port cannot be opened or the zero has drifted, NoReply where too few readings arrive,
+    Raises DriverError if the port cannot be opened or the zero has drifted, NoReply if too few readings arrive,
     BadReply where the lines are not a torque cell's.
     """
 
@@ -57,7 +57,7 @@ class LoadCell:
     def read(self) -> tuple[float, float]:
         """Return time, s, and joint torque, N m, of the newest reading; the last one again where none has arrived.
 
-        Raises BadReply where all new lines are damaged, LinkLost.
+        Raises BadReply if all new lines are damaged, LinkLost.
         """
         readings, trouble = self._take()
         if readings:
@@ -130,7 +130,7 @@ class LoadCell:
         return t - sending - self._config.delay, reading.value
 
     def _zero(self, values: list[float]) -> float:
-        """Return the tare from `values` at rest. Raises DriverError where it has drifted or is not steady."""
+        """Return the tare from `values` at rest. Raises DriverError if it has drifted or is not steady."""
         config, middle = self._config, median(values)
         half = len(values) // 2
         wander = config.scale * (median(values[half:]) - median(values[:half]))

@@ -104,7 +104,7 @@ class Codec:
         return word.to_bytes(8, "big")
 
     def state(self, data: bytes) -> MitState:
-        """Return the values of a reply. Raises BadReply where it is too short, or the position is out of range."""
+        """Return the values of a reply. Raises BadReply if it is too short, or the position is out of range."""
         if len(data) < (8 if self.family == "damiao" else 6):
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
         position = data[1] << 8 | data[2]

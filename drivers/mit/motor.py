@@ -52,7 +52,7 @@ class MitMotor:
 
     @property
     def damiao(self) -> bool:
-        """Whether it has registers and reports whether it is enabled."""
+        """Return whether it has registers and reports whether it is enabled."""
         return self.codec.family == "damiao"
 
     def drive(self, counts: int) -> MitState:
@@ -96,7 +96,7 @@ class MitMotor:
     def identify(self) -> str:
         """Switch the torque off, and check that the motor is alone and the one of the stand file.
 
-        Returns its firmware, "" where it reports none. Raises NoReply where no motor replies, BadReply where several
+        Returns its firmware, "" if it reports none. Raises NoReply if no motor replies, BadReply if several
         do, DriverError for another motor.
         """
         try:

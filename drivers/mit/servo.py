@@ -36,7 +36,7 @@ class MitServo:
     """One motor, opened, identified, and with its torque off.
 
     clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml gives
-    the scale. Raises DriverError where the bus cannot be opened or another motor replies, NoReply where none does,
+    the scale. Raises DriverError if the bus cannot be opened or another motor replies, NoReply if none does,
     BadReply where several do.
     """
 
@@ -61,7 +61,7 @@ class MitServo:
         """Write a Damiao's limits and timeout and read them back, then enter motor mode at zero torque.
 
         No frame sets limits in an AK. A Damiao that stopped for lack of frames is cleared. Raises DeviceFault where
-        another error is latched, DriverError where a register is refused or the torque limit is below one count; the
+        another error is latched, DriverError if a register is refused or the torque limit is below one count; the
         torque is off then.
         """
         if limits.torque < self.info.torque_lsb:
@@ -170,7 +170,7 @@ class MitServo:
         return self._motor.codec.torque_counts(asked), abs(asked) > self._config.ranges[2]
 
     def _check_error(self, state: MitState) -> None:
-        """Raise DeviceFault where the motor reports an error.
+        """Raise DeviceFault if the motor reports an error.
 
         A Damiao that stopped for lack of frames is cleared while it is not armed.
         """
@@ -185,7 +185,7 @@ class MitServo:
             raise fault(family, status)
 
     def _check_follows(self, counts: int, state: MitState) -> None:
-        """Raise DeviceFault where the torque differs from the command for too long.
+        """Raise DeviceFault if the torque differs from the command for too long.
 
         An AK does not report that it was restarted; it only stops following.
         """

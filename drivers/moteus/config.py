@@ -14,7 +14,7 @@ from drivers.servo import Quantity
 
 @dataclass(frozen=True, slots=True)
 class MoteusConfig:
-    """The [moteus] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+    """The [moteus] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
     interface: the kind of bus in python-can; it must carry CAN FD. channel: the bus, as python-can names it.
     bitrate: bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's. source: our id on the bus.
@@ -42,7 +42,7 @@ class MoteusConfig:
             raise ValueError(f"moteus.source {self.source} is the controller's own id: choose another")
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the configuration that commands `quantity`. Raises ValueError where `mode` is the other one."""
+        """Return the configuration that commands `quantity`. Raises ValueError if `mode` is the other one."""
         if self.mode not in {None, quantity.value}:
             raise ValueError(f"moteus.mode = {self.mode!r} does not command {quantity}: remove it")
         return replace(self, mode=quantity.value)

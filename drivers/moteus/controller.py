@@ -74,7 +74,7 @@ class Controller:
     def identify(self) -> Registers:
         """Return model, firmware, register map and serial number.
 
-        Raises NoReply where no controller replies, BadReply where several do.
+        Raises NoReply if no controller replies, BadReply if several do.
         """
         ask = (read("model", INT32, 3), read("serial_low", INT32, 3))
         try:
@@ -85,7 +85,7 @@ class Controller:
         return registers
 
     def get(self, name: str) -> float:
-        """Return a number of the configuration. Raises DriverError where the controller does not have it."""
+        """Return a number of the configuration. Raises DriverError if the controller does not have it."""
         text = self._console(f"conf get {name}")
         try:
             return float(text)

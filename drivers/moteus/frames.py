@@ -51,7 +51,7 @@ def _by_number() -> dict[int, tuple[str, MoteusRegister]]:
 
 
 def limiting(code: int) -> bool:
-    """Whether a fault code only reports which limit acts on the torque."""
+    """Return whether a fault code only reports which limit acts on the torque."""
     return str(code) in table("moteus")["limiting"]
 
 
@@ -105,7 +105,7 @@ def console_read(count: int = 48) -> bytes:
 
 
 def is_console(data: bytes) -> bool:
-    """Whether a reply is from the diagnostic console."""
+    """Return whether a reply is from the diagnostic console."""
     return data[:1] == bytes([_SERVER_DATA])
 
 
@@ -123,7 +123,7 @@ class Registers(dict[str, float]):
         raise BadReply(f"a reply of the moteus has no register {name}: the sample is dropped")
 
     def whole(self, name: str) -> int:
-        """Return a register that is a whole number. Raises BadReply where the reply has no value of it."""
+        """Return a register that is a whole number. Raises BadReply if the reply has no value of it."""
         value = self[name]
         if not math.isfinite(value):
             raise BadReply(f"a reply of the moteus has no value in register {name}: the sample is dropped")
@@ -133,7 +133,7 @@ class Registers(dict[str, float]):
 def answers(data: bytes) -> Registers:
     """Return the registers in a reply, in their units; NaN where the controller has no value.
 
-    Raises BadReply where the reply cannot be decoded, DriverError where it refuses a register.
+    Raises BadReply if the reply cannot be decoded, DriverError if it refuses a register.
     """
     out = Registers()
     place = 0

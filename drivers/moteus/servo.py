@@ -63,8 +63,8 @@ class MoteusServo:
     """One controller, opened, identified, and stopped.
 
     clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
-    the controller does not report them. Raises DriverError where the bus cannot be opened or the firmware lacks a
-    register, NoReply where no controller replies, BadReply where several do.
+    the controller does not report them. Raises DriverError if the bus cannot be opened or the firmware lacks a
+    register, NoReply if no controller replies, BadReply if several do.
     """
 
     def __init__(self, config: MoteusConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -105,7 +105,7 @@ class MoteusServo:
         """Write the limits into the controller and read them back, then start it at zero torque or where it stands.
 
         Speed and temperature limits go into its configuration, with a watchdog that stops (by default it holds); torque
-        limit and watchdog time are part of every command. Raises DeviceFault where it is in fault, DriverError where a
+        limit and watchdog time are part of every command. Raises DeviceFault if it is in fault, DriverError if a
         limit is refused or it does not start; it is stopped then.
         """
         with self._gate.arming(limits):
@@ -245,7 +245,7 @@ class MoteusServo:
         )
 
     def _check_mode(self, state: Registers) -> None:
-        """Raise DeviceFault where the controller left the mode that it was armed into."""
+        """Raise DeviceFault if the controller left the mode that it was armed into."""
         mode = state["mode"]
         if mode == FAULT:
             raise fault(state.whole("fault"))

@@ -50,7 +50,7 @@ class Axis:
     def identify(self) -> str:
         """Return its firmware, whose message layout is used from then on.
 
-        Raises NoReply where no axis replies, BadReply where several do, DriverError for a firmware not known here.
+        Raises NoReply if no axis replies, BadReply if several do, DriverError for a firmware not known here.
         """
         version = self._version()
         if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > 0):
@@ -81,7 +81,7 @@ class Axis:
             raise self._no_reply()
 
     def _version(self) -> tuple[int, ...] | None:
-        """Return the reply to Get_Version; None where there is none, as from firmware 0.5."""
+        """Return the reply to Get_Version; None if there is none, as from firmware 0.5."""
         try:
             replies = retry(lambda: self.requests.ask([self.codec.request("version")], ["version"]), (NoReply,))
         except NoReply:

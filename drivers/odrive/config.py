@@ -13,7 +13,7 @@ from drivers.gate import check_watchdog
 
 @dataclass(frozen=True, slots=True)
 class OdriveConfig:
-    """The [odrive] table of stand.toml. Raises ValueError where watchdog and reply_timeout do not fit each other.
+    """The [odrive] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
     interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. id: the axis'
     node id. torque_constant: N m/A, 8.27 divided by the motor's KV (rev/min/V). sign: 1 where the axis' positive is the

@@ -81,13 +81,13 @@ class Codec:
         return frame(self._base | message.number, message.layout.pack(*values))
 
     def name_of(self, ident: int, *, extended: bool, remote: bool) -> str | None:
-        """Return the name of a received message; None where it is not from this axis."""
+        """Return the name of a received message; None if it is not from this axis."""
         if extended or remote or ident & ~((1 << COMMAND_BITS) - 1) != self._base:
             return None
         return self._names.get(ident & ((1 << COMMAND_BITS) - 1))
 
     def decoded(self, name: str, data: bytes) -> tuple[Any, ...]:
-        """Return the values in a reply. Raises BadReply where it is too short."""
+        """Return the values in a reply. Raises BadReply if it is too short."""
         layout = self._messages[name].layout
         if len(data) < layout.size:
             raise BadReply(f"{name}: {len(data)} bytes instead of {layout.size}: the sample is dropped")

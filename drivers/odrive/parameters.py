@@ -40,7 +40,7 @@ _FORMATS = {
 class Parameters:
     """The parameters of the axis that `requests` address.
 
-    Raises DriverError where the file cannot be read, is for another firmware, or lacks a parameter that is needed.
+    Raises DriverError if the file cannot be read, is for another firmware, or lacks a parameter that is needed.
     """
 
     def __init__(self, path: str, firmware: str, requests: Requests, codec: Codec) -> None:

@@ -47,8 +47,8 @@ class OdriveServo:
     """One axis, opened, identified, and idle.
 
     clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
-    CANSimple does not report them. Raises DriverError where the bus cannot be opened or the firmware does not fit,
-    NoReply where no axis replies, BadReply where several do.
+    CANSimple does not report them. Raises DriverError if the bus cannot be opened or the firmware does not fit,
+    NoReply where no axis replies, BadReply if several do.
     """
 
     def __init__(self, config: OdriveConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -88,7 +88,7 @@ class OdriveServo:
 
         With `endpoints`, the limits of torque, current, velocity and temperature and the watchdog are read back.
         Without, only velocity and current limits are sent, which CANSimple cannot read back. A watchdog error from the
-        time before is cleared. Raises DeviceFault where another error is latched, DriverError where a limit is refused
+        time before is cleared. Raises DeviceFault if another error is latched, DriverError if a limit is refused
         or the axis does not enter closed loop; it is idle then.
         """
         with self._gate.arming(limits):
@@ -218,7 +218,7 @@ class OdriveServo:
             parameters.require("enable_watchdog", 1.0)
 
     def _check_clipping(self, parameters: Parameters, torque: float, velocity: float) -> None:
-        """Raise DriverError where the axis would limit the torque by its velocity limit even at standstill."""
+        """Raise DriverError if the axis would limit the torque by its velocity limit even at standstill."""
         allowed = parameters.get("velocity_gain") * velocity
         if parameters.get("torque_mode_velocity_limit") and torque > allowed:
             raise DriverError(
@@ -257,6 +257,6 @@ class OdriveServo:
         return [self._axis.codec.request(names[self._ticks // _EVERY % len(names)])]
 
     def _check_state(self) -> None:
-        """Raise DeviceFault where an armed axis reports an error or has left closed loop."""
+        """Raise DeviceFault if an armed axis reports an error or has left closed loop."""
         if self._gate.armed and (self._axis.errors or self._axis.state != CLOSED_LOOP):
             raise fault(self._axis.codec.layout, self._axis.errors)

@@ -26,7 +26,7 @@ class Register(Protocol):
         """Its number of bytes."""
 
     def encoded(self, value: int) -> bytes:
-        """Return the bytes of `value`. Raises OverflowError where it does not fit."""
+        """Return the bytes of `value`. Raises OverflowError if it does not fit."""
 
     def decoded(self, data: bytes) -> int:
         """Return the value of the bytes."""

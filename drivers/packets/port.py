@@ -75,11 +75,11 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         return out
 
     def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
-        """Whether the deadline has passed, or more bytes were read than any reply has."""
+        """Return whether the deadline has passed, or more bytes were read than any reply has."""
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
     def drain(self) -> bool:
-        """Discard received bytes until the line is silent. Returns False where it does not fall silent."""
+        """Discard received bytes until the line is silent. Returns False if it does not fall silent."""
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() < end:

@@ -29,7 +29,7 @@ def search_every_rate(
     """Return a sentence for every servo that replies to a ping at any baud rate on the port `path`.
 
     name: what to call a servo, from the open port, its id and its model number. clock, port: those of the machine
-    unless a test gives its own. Raises DriverError where the port cannot be opened.
+    unless a test gives its own. Raises DriverError if the port cannot be opened.
     """
     clock = clock or MonotonicClock()
     sentences: list[str] = []

@@ -24,7 +24,7 @@ class Answer(NamedTuple):
     """A status packet with a valid checksum.
 
     alert: the hardware errors it reports, 0 for none. damaged: whether the request reached the servo damaged.
-    refused: why the servo refused the request, "" where it did not.
+    refused: why the servo refused the request, "" if it did not.
     """
 
     ident: int
@@ -49,7 +49,7 @@ class Wire(Protocol):
         """Return the packet that the SDK reads from `port`, and its result. Raises IndexError for a bad length."""
 
     def opened(self, raw: bytes) -> Answer | None:
-        """Return the content of a packet from `receive`; None where it is no status packet."""
+        """Return the content of a packet from `receive`; None if it is no status packet."""
 
     def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
         """Yield id and model number (0 where the protocol has none) of each reply to a ping in received bytes."""

@@ -1,4 +1,4 @@
-"""Recordings to Kc and Bc, and recordings beside each other: the functions and the results that they return."""
+"""From recordings to Kc and Bc, and comparisons of recordings: the functions, and the results that they return."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 AnyPath = str | os.PathLike[str]
 Progress = Callable[[str, float], None]
-"""Is called with the phase of the work and the share of it that is done, 0 to 1."""
+"""A function that is called with the phase of the work and the fraction done, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
     """Kc, Bc and the other parameters of the model; `str()` is the answer in one line, `result["Kc"]` one parameter.
 
-    identification: all numbers and signals behind it.
+    identification: all numbers and signals that the result consists of.
     """
 
     identification: Identification
@@ -74,7 +74,7 @@ class IdentificationResult:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return self.identification.trustworthy
 
     def trusted(self, name: str) -> bool:
@@ -83,7 +83,7 @@ class IdentificationResult:
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C ended the search, whose result so far this is."""
+        """Return whether Ctrl-C ended the search; the result is then that of the search so far."""
         return self.identification.trials.interrupted
 
     @property
@@ -131,9 +131,9 @@ class NoResult(Untrustworthy):
 
 @dataclass(frozen=True, slots=True)
 class ComparisonResult:
-    """Kc and Bc of several recordings beside each other; `str()` is the verdict.
+    """Kc and Bc of several recordings, compared; `str()` is the verdict.
 
-    comparison: all numbers behind it.
+    comparison: all numbers that the result consists of.
     """
 
     comparison: Comparison
@@ -151,7 +151,7 @@ class ComparisonResult:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return self.comparison.trustworthy
 
     def as_json(self) -> dict[str, Any]:

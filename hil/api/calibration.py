@@ -34,10 +34,10 @@ class Zero:
 def read_loads(
     stand: Stand, loads: Iterable[Load], cell: TorqueCell | None, clock: Clock, ready: Callable[[Load], bool]
 ) -> list[Point]:
-    """Return the points of known loads, those without a value read from `cell`.
+    """Return the points of known loads; loads without a value are read from `cell`.
 
-    ready: is called before a load is read, and returns whether it hangs; the others are left out. Raises WrongUse for a
-    load that cannot be right, DriverError where the cell is gone.
+    ready: called before a load is read; returns whether the load hangs. Loads that do not are left out. Raises WrongUse
+    for an impossible load, DriverError if the cell is gone.
     """
     sign = stand.sensor[1].sign if stand.sensor is not None else 1
     limit = None if stand.limits is None else stand.limits.torque
@@ -59,11 +59,10 @@ def read_loads(
 def store_torque(
     path: Path, points: Sequence[Point], *, tare: float, arm: tuple[float, float] | None
 ) -> tuple[Scale, list[str]]:
-    """Return the scale of the points, stored in the stand file at `path`, and the keys that were set.
+    """Return the scale fitted to the points, stored in the stand file at `path`, and the keys that were set.
 
-    tare: what the cell showed before the loads, in counts or as printed. arm: of the lever, and its standard
-    uncertainty, m; None where torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on
-    success.
+    tare: the cell's reading before the loads, in counts or as printed. arm: of the lever and its standard uncertainty,
+    m; None if torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on success.
     """
     stand = load(path)
     lever = 0.0 if arm is None else math.hypot(arm[1] / arm[0], GRAVITY_UNCERTAINTY)
@@ -89,9 +88,9 @@ def store_torque(
 
 
 def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
-    """Return the cell's answer to a load that is taken off within ten seconds, stored in the stand file at `path`.
+    """Return the cell's response to a load taken off within ten seconds, stored in the stand file at `path`.
 
-    Raises Untrustworthy where no clear step is seen, DriverError where the cell is gone.
+    Raises Untrustworthy if no clear step is seen, DriverError if the cell is gone.
     """
     rows = released(cell, clock)
     found = step_response(*rows.T)
@@ -112,10 +111,10 @@ def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
 
 
 def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
-    """Return the motor's angle at rest, stored as `stand.zero` in the file at `path`, with its uncertainty.
+    """Return the motor's angle at rest and its uncertainty, stored as `stand.zero` in the file at `path`.
 
-    ready: is called with what to do before each of two readings, which come from both sides, because friction holds a
-    joint where it stops. Raises DriverError, Untrustworthy where the motor moves.
+    ready: called with an instruction before each of two readings, approached from both sides, because friction holds a
+    joint where it stops. Raises DriverError, Untrustworthy if the motor moves.
     """
     stand = load(path)
     angles, counts = [], []
@@ -144,7 +143,7 @@ def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
 def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationResult:
     """Return Kc and Bc of the empty rig in `recording`, stored in the stand file at `path`.
 
-    search: as `hil.api.analysis.identify`. Raises WrongUse, Untrustworthy where the recording does not give the
+    search: as `hil.api.analysis.identify`. Raises WrongUse, Untrustworthy if the recording does not give the
     fixture's stiffness.
     """
     load(path)
@@ -174,7 +173,7 @@ def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationR
 
 
 def _beside(recording: Path, stand: Path) -> str:
-    """Return the recording's name as the stand file's folder sees it."""
+    """Return the recording's name relative to the stand file's folder."""
     recording, folder = recording.resolve(), stand.resolve().parent
     return str(recording.relative_to(folder)) if recording.is_relative_to(folder) else str(recording)
 

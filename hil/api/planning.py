@@ -1,4 +1,4 @@
-"""The design of an experiment: the errors of Kc and Bc that an excitation promises, and the best excitation."""
+"""The design of an experiment: the predicted errors of Kc and Bc for an excitation, and the best excitation."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from hil.stand.file import Stand
 class DesignResult:
     """The predicted errors of two excitations; `str()` is the answer in one line.
 
-    task: the joint, its sensors and limits. judged: the excitation that was asked for, as "given", and the one with the
-    smallest errors, as "best". stand: the option that names the stand in a command. general: the warnings that hold for
-    every excitation.
+    task: the joint, its sensors and limits. judged: the requested excitation as "given", and the one with the smallest
+    errors as "best". stand: the option that names the stand in a command. general: the warnings that apply to every
+    excitation.
     """
 
     task: Task
@@ -38,7 +38,7 @@ class DesignResult:
 
     @property
     def given(self) -> Assessment:
-        """The excitation that was asked for."""
+        """The requested excitation."""
         return self.judged["given"]
 
     @property
@@ -75,10 +75,10 @@ def design(
 ) -> DesignResult:
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones.
 
-    kc N m/rad and bc N m s/rad: rough values, and torque_noise, N m at the joint, one standard deviation; None: the
-    simulator's. model: terms to estimate, or "auto": all that model selection considers. The others: as `hil.record`.
-    progress: called with what is being tried, and the share that is done. Nothing moves. Raises WrongUse, also where
-    the excitation would exceed a limit of the stand.
+    kc, N m/rad, and bc, N m s/rad: rough values; torque_noise: N m at the joint, one standard deviation; None: the
+    simulator's. model: the terms to estimate, or "auto": all that model selection considers. Other arguments: as
+    `hil.record`. progress: called with what is being tried, and the fraction done. Nothing moves. Raises WrongUse, also
+    if the excitation would exceed a limit of the stand.
     """
     opened, quantity = opened_stand(stand), quantity_of(mode)
     made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)

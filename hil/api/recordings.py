@@ -1,4 +1,4 @@
-"""A recording in memory: its channels as arrays with units, as pandas or xarray hold them, and as a picture."""
+"""A recording in memory: its channels as arrays with units, as pandas or xarray objects, and as a picture."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class LoadedRecording:
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame over time, s, a column a channel; `attrs["units"]` has the units.
 
-        Raises WrongUse where pandas is not installed.
+        Raises WrongUse if pandas is not installed.
         """
         columns = {name: values for name, values in self.channels.items() if name != "time"}
         pandas = _optional("pandas")
@@ -68,7 +68,7 @@ class LoadedRecording:
     def to_xarray(self) -> Any:
         """Return an xarray.Dataset over time, s; each variable has its unit and description in `attrs`.
 
-        Raises WrongUse where xarray is not installed.
+        Raises WrongUse if xarray is not installed.
         """
         variables = {
             name: ("time", values, {"units": self.units[name], "long_name": self.descriptions[name]})

@@ -41,16 +41,16 @@ _UNGUARDED = Diagnostic(
 _FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
 
 AnyStand = str | os.PathLike[str] | Stand
-"""A stand file, one that is loaded already, or "sim" for the simulated stand."""
+"""The path of a stand file, a loaded stand, or "sim" for the simulated stand."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that has ended, and its recording; it stands for the recording's path wherever a path is expected.
+    """A finished run and its recording; it can be used wherever the path of a recording is expected.
 
-    outcome: samples, lost replies, late ticks, and why it ended. diagnostics: of the run; the recording's own are those
-    of `hil inspect`. lateness: of the set-points, s: median, 99 % and largest, as the recording has them; NaN where it
-    has none.
+    outcome: samples, lost replies, late ticks, and why it ended. diagnostics: of the run; those of the recording are
+    given by `hil inspect`. lateness: of the set-points, s: median, 99 % and largest, as stored in the recording; NaN if
+    it has none.
     """
 
     path: Path
@@ -63,7 +63,7 @@ class Run:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
     def load(self) -> LoadedRecording:
@@ -150,7 +150,7 @@ def record(
 
 
 def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], object] | None) -> list[Diagnostic]:
-    """Return the warnings that `warn` was called with."""
+    """Return the foreseen warnings after calling `warn` with them."""
     if foreseen and warn is not None:
         warn(foreseen)
     return foreseen
@@ -159,7 +159,7 @@ def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], o
 def _reported(
     path: Path, outcome: Outcome, foreseen: Sequence[Diagnostic], ended: Callable[[Run], object] | None
 ) -> Run:
-    """Return a run that `ended` was called with. Raises the fault that ended it."""
+    """Return the run after calling `ended` with it. Raises the fault that ended it."""
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
     late = lateness(outcome.late, outcome.samples)
     run = Run(path, outcome, (*foreseen, *moved, *late), _stored_lateness(path, outcome.samples))
@@ -172,7 +172,7 @@ def _reported(
 
 
 def _stored_lateness(path: Path, samples: int) -> tuple[float, float, float]:
-    """Return median, 99 % and largest lateness of a recording, s; NaN where it was not finished."""
+    """Return median, 99 % and largest lateness of a recording, s; NaN if it was not finished."""
     stored: Mapping[str, Any] = {}
     if samples:
         with suppress(WrongUse, Untrustworthy, OSError), Recording(path) as recording:
@@ -243,7 +243,7 @@ def opened_stand(stand: AnyStand) -> Stand:
 
 
 def quantity_of(mode: Quantity | str) -> Quantity:
-    """Return what "torque" or "position" names. Raises WrongUse for another word."""
+    """Return the quantity of the mode "torque" or "position". Raises WrongUse for another word."""
     try:
         return Quantity(mode)
     except ValueError:
@@ -287,7 +287,7 @@ def excitation(
 
 
 def _limit_of(stand: Stand, mode: Quantity) -> float:
-    """Return the stand's limit on what is commanded, N m or rad at the joint. Raises WrongUse where it sets none."""
+    """Return the stand's limit on the commanded quantity, N m or rad at the joint. Raises WrongUse if it sets none."""
     limits = stand.checked_limits()
     return limits.torque if mode is Quantity.TORQUE else limits.deflection
 
@@ -329,7 +329,7 @@ def _foreseen(stand: Stand, profile: Profile, *, guardian: bool) -> list[Diagnos
 
 
 def _raise_fault(outcome: Outcome) -> None:
-    """Raise what ended the run; where the torque may still be on, that is the last line of the message."""
+    """Raise the fault that ended the run; if the torque may still be on, the message ends with that."""
     if outcome.alarm:
         raise DriverError(f"{outcome.error}\n{outcome.alarm}") from outcome.error
     if isinstance(outcome.error, OSError) and not isinstance(outcome.error, DriverError):

@@ -17,7 +17,7 @@ _LARGEST = 1 << 20  # bytes
 
 
 class Load(NamedTuple):
-    """A known load: its torque, N m; the cell's reading, None where it is still to be read; a name for messages."""
+    """A known load: its torque, N m; the cell's reading, None if it is still to be read; a name for messages."""
 
     torque: float
     value: float | None

@@ -38,7 +38,7 @@ class TorqueCell(Protocol):
 
 
 class Steady(NamedTuple):
-    """The mean of a reading and its standard deviation, in its own unit, and the number of readings."""
+    """A steady reading: its mean and standard deviation, in its own unit, and the number of readings."""
 
     mean: float
     std: float
@@ -47,9 +47,9 @@ class Steady(NamedTuple):
 
 @contextlib.contextmanager
 def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell]:
-    """Yield the stand's torque cell, tared, whose readings are in counts or as printed, not in N m.
+    """Yield the stand's torque cell, tared; its readings are in counts or as printed, not in N m.
 
-    clock: whose time the readings carry, None: monotonic. Raises WrongUse where the stand has none, DriverError.
+    clock: the clock of the readings' times, None: monotonic. Raises WrongUse if the stand has none, DriverError.
     """
     if stand.sensor is None:
         raise WrongUse(
@@ -64,9 +64,9 @@ def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell
 
 
 def steady(cell: TorqueCell, clock: Clock) -> Steady:
-    """Return the reading of a load that hangs still: let it settle for a second, then read for two.
+    """Return the reading of a load that hangs still: wait a second for it to settle, then read for two.
 
-    Raises Untrustworthy where too few readings come, LinkLost where the cell is gone.
+    Raises Untrustworthy if too few readings come, LinkLost if the cell is gone.
     """
     _readings(cell, clock, _SETTLING)
     values = _readings(cell, clock, _READING)[:, 1]
@@ -95,9 +95,10 @@ def _readings(cell: TorqueCell, clock: Clock, seconds: float) -> NDArray[np.floa
 
 
 def motor_at_rest(stand: Stand) -> tuple[Steady, float]:
-    """Return the motor's angle, rad, as the drive shows it with its torque off, and one count of it (NaN: not known).
+    """Return the motor's angle, rad, as the drive reads it with its torque off, and the size of its count (NaN:
+    unknown).
 
-    Raises DriverError, Untrustworthy where it moves or is not read.
+    Raises DriverError, Untrustworthy if it moves or is not read.
     """
     plain = dataclasses.replace(stand, stand=stand.stand.model_copy(update={"zero": 0.0}), sensor=None)
     servo, _ = open_servo(plain)

@@ -1,8 +1,8 @@
-"""The scale of a torque cell from known loads: a line with Student's interval, and loads that cannot be right.
+"""The scale of a torque cell from known loads: a line with Student's interval, and a check for impossible loads.
 
-The readings are fitted as a line over the torques, since the readings have the larger error; the scale is the inverse
-of its slope. With n points the slope's 95 % interval is t(0.975, n - 2) standard errors, t of Student. The error of the
-loads themselves (lever arm, gravity) is the same in all points and adds to it.
+The readings are fitted as a line over the torques, because the readings have the larger error; the scale is the inverse
+of its slope. With n points the slope's 95 % interval is t(0.975, n - 2) standard errors (Student's t). The error of the
+loads themselves (lever arm, gravity) is common to all points and is added.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def fit(points: Sequence[Point], load_uncertainty: float = 0.0) -> Scale:
     """Return the scale from three or more points, in the order in which they were read.
 
     load_uncertainty: of all torques together, relative, one standard deviation. Raises WrongUse for too few different
-    loads, Untrustworthy where the points are not on a line that rises.
+    loads, Untrustworthy if the points are not on a line that rises.
     """
     torque, value = np.array([[point.torque, point.value] for point in points]).reshape(-1, 2).T
     if len(points) < 3 or len(np.unique(torque)) < 2:
@@ -125,7 +125,7 @@ def _hysteresis(torque: Array, value: Array) -> float:
 
 
 def implausible(points: Sequence[Point], limit: float | None) -> str:
-    """Return why the loads cannot be right, with the most likely reason; "" where they can.
+    """Return why the loads are impossible, with the most likely reason; "" if they are possible.
 
     limit: the stand's torque limit, N m.
     """

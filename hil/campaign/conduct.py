@@ -1,4 +1,4 @@
-"""Carry a campaign out: record what is not done yet, identify what is not identified yet."""
+"""Carry out a campaign: record what is not recorded yet, identify what is not identified yet."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ from hil.recording.output import writing
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """The person at the stand. say: shows a line. ask: shows what is to be done and returns when it has been done.
+    """The interface to the person at the stand. say: shows a line. ask: shows an instruction and returns when it is
+    done.
 
-    progress: is called with the phase of the identifications and the share that is done. sleep: waits so many s.
+    progress: called with the phase of the identifications and the fraction done. sleep: waits for so many s.
     """
 
     say: Callable[[str], object]
@@ -34,7 +35,7 @@ class Desk:
 
 
 class Stopped(Exception):
-    """The person at the stand stopped the campaign. signal: with which the recording was ended."""
+    """The person at the stand stopped the campaign. signal: the one that ended the recording."""
 
     def __init__(self, signal: int) -> None:
         super().__init__("stopped: the same command resumes the campaign")
@@ -42,9 +43,9 @@ class Stopped(Exception):
 
 
 def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
-    """Record every run that is not done; one that fails is noted, and the next goes on.
+    """Record every run that is not done; a failure is noted, and the next run follows.
 
-    Raises Stopped, and DriverError where the torque of a drive may still be on: then nothing else is recorded.
+    Raises Stopped, and DriverError if the torque of a drive may still be on: then nothing else is recorded.
     """
     due = [run for run in plan.runs if not journal.is_done(run)]
     with writing(plan.folder):
@@ -71,7 +72,7 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
 
 
 def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
-    """Record a run, once more after a rest where the heat budget refuses it. Raises TooHot where no rest is enough."""
+    """Record a run; if the heat budget refuses it, rest and try once more. Raises TooHot if no rest is enough."""
     try:
         return _recorded(plan, run, alarms)
     except TooHot as hot:

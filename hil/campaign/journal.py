@@ -1,4 +1,4 @@
-"""What is done of a campaign, on disk: each change is written whole, so that a kill at any moment costs one run."""
+"""The progress of a campaign on disk: each change is written atomically, so that a kill at any moment costs one run."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _LARGEST = 1 << 26  # bytes of a journal, or of a result
 
 @dataclass(slots=True)
 class Entry:
-    """What became of a run. failure: why it is not done, "" where it is. key: of the settings that it was done with."""
+    """The state of a run. failure: why it is not done, "" if it is. key: of the settings that it was done with."""
 
     key: str
     failure: str = ""
 
 
 class Journal:
-    """The journal of a plan's folder. Raises WrongUse for another campaign's."""
+    """The journal of a plan's folder. Raises WrongUse for the journal of another campaign."""
 
     def __init__(self, plan: Plan) -> None:
         self._path = plan.folder / NAME
@@ -45,12 +45,12 @@ class Journal:
         raise WrongUse(f"{self._path} is no journal of a campaign: move it away, or choose another output")
 
     def failure(self, run: Run) -> str:
-        """Return why a run failed at the last try, "" where it did not."""
+        """Return why a run failed at the last attempt, "" if it did not."""
         entry = self._entries.get(run.name)
         return "" if entry is None else entry.failure
 
     def is_done(self, run: Run) -> bool:
-        """Return whether a run is done. Raises WrongUse where its recording was made with other settings."""
+        """Return whether a run is done. Raises WrongUse if its recording was made with other settings."""
         if not run.path.exists():
             return False
         entry = self._entries.get(run.name) or self._recovered(run)
@@ -62,7 +62,7 @@ class Journal:
         return not entry.failure
 
     def _recovered(self, run: Run) -> Entry | None:
-        """The entry of a run that ended just before the journal could be written."""
+        """Return the entry of a run that ended just before the journal could be written."""
         with suppress(WrongUse, Untrustworthy), Recording(run.path) as recording:
             if recording.complete and str(recording.attributes.get("operator_note", "")) == note(run):
                 self.keep(run)
@@ -78,12 +78,12 @@ class Journal:
 
 
 def note(run: Run) -> str:
-    """Return the remark in a run's recording, by which it is known again."""
+    """Return the note in a run's recording, by which the run is recognised."""
     return f"campaign run {run.name}, settings {run.key}"
 
 
 def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | None:
-    """Return the JSON object of the run's identification with these settings, None where there is none yet."""
+    """Return the stored JSON object of the run's identification with these settings, None if there is none yet."""
     path = result_path(run)
     with suppress(OSError, ValueError, KeyError, TypeError, RecursionError, WrongUse):
         table = json.loads(read_text(path, largest=_LARGEST))
@@ -93,7 +93,7 @@ def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | No
 
 
 def keep_result(run: Run, model: str, trials: int | None, result: dict[str, Any]) -> None:
-    """Keep the JSON object of the run's identification beside its recording."""
+    """Store the JSON object of the run's identification beside its recording."""
     of = [run.key, model, trials, run.path.stat().st_mtime_ns]
     with atomic_write(result_path(run), force=True) as temporary:
         temporary.write_text(json.dumps({"of": of, "result": result}, indent=1), encoding="utf-8")

@@ -28,7 +28,7 @@ def verdict(found: Results) -> str:
 
 
 def diagnostics(found: Results) -> list[Diagnostic]:
-    """Return what must be looked at, each with the remedy."""
+    """Return what needs attention, each with the remedy."""
     listed = [Diagnostic("no-result", f"{one.run.name}: {one.failure}", is_error=True) for one in found.failed]
     for line in found.lines:
         for name in PARAMETERS:
@@ -46,7 +46,7 @@ def diagnostics(found: Results) -> list[Diagnostic]:
 
 
 def _range(found: Results, line: Line, name: str) -> str:
-    """The values of a line's recordings beside their own errors, in words."""
+    """Return the values of a line's recordings and their own errors, in words."""
     factor, unit = people_unit(_units(found)[name], milli=_milli(found))
     known = [one.values[name] for one in line.measured if name in one.values]
     least, most = (factor * end(one.value for one in known) for end in (min, max))
@@ -55,7 +55,7 @@ def _range(found: Results, line: Line, name: str) -> str:
 
 
 def _unlike(found: Results, line: Line, name: str, outlier: Outlier) -> str:
-    """How a line's value is unlike those of the hand, in words."""
+    """Return in words how a line's value differs from those of the hand."""
     factor, unit = people_unit(_units(found)[name], milli=_milli(found))
     value = line.values[name].value
     return (

@@ -25,10 +25,10 @@ class _Table(BaseModel):
 
 
 class CampaignTable(_Table):
-    """[campaign]. output: the folder of all results, beside the plan. model: as `hil identify --model`.
+    """[campaign]. output: the folder of all results, relative to the plan. model: as `hil identify --model`.
 
-    repeats: recordings of each joint with each profile. cool_down: s to wait before each but the first; a simulated
-    joint needs none. drift_check_every: so many recordings the first one is repeated, 0 for never.
+    repeats: recordings of each joint with each profile. cool_down: the pause before each recording but the first, s; a
+    simulated joint needs none. drift_check_every: after this many recordings the first one is repeated, 0 for never.
     """
 
     name: str = "campaign"
@@ -75,9 +75,9 @@ class _File(_Table):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One recording of the plan. repeat: from 1. is_check: whether it repeats the first one to find a drift.
+    """One recording of the plan. repeat: from 1. is_check: whether it repeats the first one to detect a drift.
 
-    key: what all its settings amount to. asks: what the person at the stand must do before it.
+    key: a hash of all its settings. asks: what the person at the stand must do before it.
     """
 
     name: str
@@ -92,13 +92,13 @@ class Run:
 
     @property
     def seed(self) -> int:
-        """The seed of everything random in it: another one for each run."""
+        """The seed of everything random in it: different for each run."""
         return int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4])
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A checked plan. path: of its file. folder: of its results. runs: in their order."""
+    """A checked plan. path: its file. folder: of its results. runs: in their order."""
 
     path: Path
     settings: CampaignTable
@@ -168,7 +168,7 @@ def _run(
 
 
 def _message(text: str, item: Any) -> str:
-    """Return line, key and what is wrong with it, of one of a ValidationError's errors."""
+    """Return line, key and the fault, for one of a ValidationError's errors."""
     place = list(item["loc"])
     key = ".".join(str(part) for part in place if isinstance(part, str))
     value = f" = {item['input']!r}" if names_the_value(item) else ""

@@ -1,4 +1,4 @@
-"""The results of a campaign: Kc and Bc of every joint, whether they repeat and drift, and which stand out."""
+"""The results of a campaign: Kc and Bc of every joint, whether they repeat and drift, and which are outliers."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class Value:
 
     @property
     def error(self) -> float:
-        """Half of the interval in standard errors, never zero."""
+        """The standard error, from half the interval; never zero."""
         return max((self.ci95[1] - self.value) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A run with its values: those that may be trusted. failure: why there is no recording or no result, "" else."""
+    """A run with its trusted values. failure: why there is no recording or no result, else ""."""
 
     run: Run
     values: Mapping[str, Value]
@@ -50,7 +50,9 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """A value among those of a hand. median: of them, SI. score: modified z-score of its ratio to the median."""
+    """An outlier among the values of a hand. median: of the values, SI. score: modified z-score of its ratio to the
+    median.
+    """
 
     median: float
     score: float
@@ -59,7 +61,7 @@ class Outlier:
 @dataclass(frozen=True, slots=True)
 class Line:
     """A joint at one pretension under one profile. values: over its repeats. repeats: whether these agree within their
-    own errors, None where that cannot be decided. stands_out: how it is unlike the hand's others, by parameter.
+    own errors, None if that cannot be decided. stands_out: for each parameter how it is an outlier in the hand.
     """
 
     joint: str
@@ -86,7 +88,7 @@ class Results:
 
     @property
     def complete(self) -> bool:
-        """Whether every run has a result."""
+        """Return whether every run has a result."""
         return not self.failed
 
 
@@ -144,7 +146,7 @@ def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
 
 
 def marked(lines: Sequence[Line]) -> list[Line]:
-    """Return the lines with what stands out among those of one profile."""
+    """Return the lines with the outliers among those of one profile marked."""
     found = []
     for line in lines:
         out = {}
@@ -168,7 +170,7 @@ def scores(values: Sequence[float]) -> list[float]:
 
 
 def _drift(name: str, checks: Sequence[Measured]) -> tuple[Drift, float] | None:
-    """The drift of a parameter over the checks, per hour, and the mean value; None where there are fewer than three."""
+    """The drift of a parameter over the checks, per hour, and the mean value; None if there are fewer than three."""
     known = [one for one in checks if name in one.values and one.created]
     if len(known) < 3:
         return None

@@ -119,9 +119,11 @@ def main() -> NoReturn:
 
 
 def _open_standard_files() -> None:
-    """Open those of the files 0 to 2 that were closed before we started: else a recording would be one of them.
+    """Open those of the descriptors 0 to 2 that were closed before the start; otherwise a recording could get one of
+    them.
 
-    In the processes that we start too: what they write to standard error must not go to a drive or among the rows.
+    This applies to the child processes too: what they write to standard error must not go to a drive or into a
+    recording.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -161,7 +163,9 @@ def run(words: list[str]) -> int:
 
 
 def _usage(error: Exception) -> str:
-    """Return what is wrong with the options, in a sentence of our own where the parser has one of pydantic's."""
+    """Return the fault in the options as a sentence; the parser's own sentences, where they come from pydantic, are
+    replaced.
+    """
     shown, raised, cause = io.StringIO(), cast("Any", error), cast("Any", error.__cause__)
     if hasattr(cause, "errors"):
         item = cause.errors()[0]

@@ -152,7 +152,7 @@ def _wait(what: str, *, yes: bool) -> bool:
 
 
 def _guided(stand: Stand, read: Callable[[list[Load]], list[Point]], arm: float | None) -> list[Point]:
-    """Return the points of the weights that are asked for, until an empty answer; an impossible one is left out."""
+    """Ask for weights until an empty answer, and return their points; an impossible weight is left out."""
     from hil.calibration.points import weight
     from hil.calibration.torque import implausible
 

@@ -1,4 +1,4 @@
-"""The help of the commands: its names of types, the examples below it, and the exit statuses below that of `hil`."""
+"""The help of the commands: type names, the examples below the help, and the exit statuses."""
 
 from __future__ import annotations
 

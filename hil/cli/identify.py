@@ -98,7 +98,7 @@ def identify(
 
 
 def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[str, ...]) -> None:
-    """End the command with the status that the result asks for."""
+    """End the command with the exit status that follows from the result."""
     if found.interrupted:
         exit_interrupted(checkpoint)
     if not meets(found, required):
@@ -106,7 +106,7 @@ def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[s
 
 
 def _required(require: str) -> tuple[str, ...]:
-    """The parameters that must be trusted. Raises WrongUse."""
+    """Return the parameters that must be trusted. Raises WrongUse."""
     known = {"Kc": ("Kc",), "Bc": ("Bc",), "both": ("Kc", "Bc")}
     if require not in known:
         raise unknown("--require", require, known)
@@ -115,7 +115,7 @@ def _required(require: str) -> tuple[str, ...]:
 
 @contextmanager
 def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> Iterator[None]:
-    """Print the JSON object and write the report that say why, where nothing could be identified."""
+    """If nothing could be identified, print the JSON object and write the report with the reason."""
     from hil.api.analysis import NoResult
 
     try:

@@ -1,4 +1,4 @@
-"""The options that several commands share, and what their values stand for."""
+"""The options that several commands share, and the parsing of their values."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.errors import WrongUse
 from hil.units import quantity
 
 DEFAULT_SEED = 0
-"""The seed of every command that is given none."""
+"""The seed of every command without --seed."""
 LARGEST_SEED = 2**63 - 1
 """The largest integer that an attribute of a recording holds."""
 DEFAULT_RATE = 500.0
@@ -112,7 +112,8 @@ ListModels = Annotated[
 
 
 def stand_of(backend: str | None, path: Path | None) -> str | Path:
-    """Return the stand file, or "sim", as --backend or --stand names it; else the stand.toml of this folder, said so.
+    """Return the stand file, or "sim", from --backend or --stand; without both, the stand.toml of this folder, with a
+    note.
 
     Raises WrongUse.
     """
@@ -171,7 +172,7 @@ def band_of(text: str | None) -> tuple[float, float] | None:
 
 
 def span_of(text: str, *dimensions: str) -> list[float]:
-    """Return the two ends of LOW:HIGH, SI; a unit behind the second is that of a bare first too. Raises WrongUse."""
+    """Return the two ends of LOW:HIGH, SI; a unit after the second end also applies to a first end without one."""
     low, colon, high = text.partition(":")
     (first, stated), (second, dimension) = quantity(low, *dimensions), quantity(high, *dimensions)
     if not colon or (stated and dimension and stated != dimension):

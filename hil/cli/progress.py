@@ -1,4 +1,4 @@
-"""Progress of a long command: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a long command: a bar on a terminal, an occasional line elsewhere."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _shown() -> Iterator[Show]:
 class Lines:
     """Prints a line for every tenth that is done, at most one in `_QUIET`. now: a clock, s.
 
-    Of a share that is not known it prints the first at once.
+    If the fraction is unknown, the first line is printed at once.
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:

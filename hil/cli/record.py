@@ -85,7 +85,7 @@ def record(
 
 
 def _end(run: Run) -> None:
-    """End the command with the status that the run asks for."""
+    """End the command with the exit status that follows from the run."""
     if run.outcome.signal:
         raise typer.Exit(128 + run.outcome.signal)
     if not run.trustworthy:
@@ -101,7 +101,7 @@ def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand
 
 
 def _length(recording: Path, rate: float) -> float:
-    """Return for how many s the rows of a recording last at `rate` Hz."""
+    """Return the duration, s, of the rows of a recording at `rate` Hz."""
     from hil.recording.reader import Recording
 
     with Recording(recording) as opened:
@@ -128,7 +128,7 @@ def _print_line(run: Run) -> None:
 
 
 def _print_lateness(run: Run) -> None:
-    """Print how late the set-points were sent; nothing in virtual time, in which they are not."""
+    """Print how late the set-points were sent; nothing in virtual time, which has no lateness."""
     from hil.report.formatting import engineering
 
     if run.lateness[2] > _ROUNDING or (run.outcome.missed and math.isfinite(run.lateness[2])):

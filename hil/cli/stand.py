@@ -85,7 +85,7 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
 
 
 def _check_defaults(questions: list[Question]) -> None:
-    """Raise WrongUse where questions have no default, with all of them."""
+    """Raise WrongUse if questions have no default, with all of them."""
     missing = [question.key for question in questions if question.default is None]
     if missing:
         words = " ".join(f"--set {key}=..." for key in missing)
@@ -106,7 +106,7 @@ def _asked(draft: Draft, question: Question) -> Any:
 
 
 def _port_here() -> str | None:
-    """Return the only serial port of this machine, None where there are none or several."""
+    """Return the only serial port of this machine, None if there are none or several."""
     from drivers.ports import serial_ports
 
     ports = serial_ports()

@@ -32,55 +32,55 @@ _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, for
 
 
 def out(text: str, *, is_drawn: bool = False) -> None:
-    """Print text to standard output. is_drawn: it is escaped already. Raises WrongUse where it cannot be written."""
+    """Print text to standard output. is_drawn: it is already escaped. Raises WrongUse if it cannot be written."""
     if error := _written(text, sys.stdout, is_drawn=is_drawn):
         raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
 
 
 class _Quiet:
-    """Whether this command prints the answer alone."""
+    """Whether this command prints only the answer."""
 
     wanted = False
 
 
 def be_quiet(wanted: bool) -> None:
-    """Let `detail` and `note`, the tables and the progress print nothing from now on, or again."""
+    """Turn the output of `detail` and `note`, tables and progress off, or on again."""
     _Quiet.wanted = wanted
     logging.getLogger("ga").setLevel(logging.ERROR if wanted else logging.NOTSET)
 
 
 def is_quiet() -> bool:
-    """Return whether this command prints the answer alone."""
+    """Return whether this command prints only the answer."""
     return _Quiet.wanted
 
 
 def detail(text: str) -> None:
-    """Print a line below the answer to standard output. Raises WrongUse where it cannot be written."""
+    """Print a line below the answer to standard output. Raises WrongUse if it cannot be written."""
     if not is_quiet():
         out(text)
 
 
 def note(text: str) -> None:
-    """Print what was done beside the answer to standard error. Never raises."""
+    """Print what was done, apart from the answer, to standard error. Never raises."""
     if not is_quiet():
         say(text)
 
 
 def say(text: str) -> None:
-    """Print a line to standard error, apart from the command's data. Never raises: words must not cost data."""
+    """Print a line to standard error, apart from the command's data. Never raises: a message must not cost data."""
     with suppress(Exception):
         _written("\n".join(map(_cut, text.split("\n"))), sys.stderr)
 
 
 def _cut(line: str) -> str:
-    """Return a line of which a terminal shows all: a file of others may have a name or a word of a megabyte."""
+    """Return a line shortened so that a terminal shows it; a file may contain a name of a megabyte."""
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}... ({len(line) - _LONGEST} more characters)"
 
 
 def printable(text: str) -> str:
-    """Return text in which the characters that steer a terminal are escaped, all but line ends and tabs.
+    """Return text with its terminal control characters escaped, except line ends and tabs.
 
-    Names and messages may come from files of others: an escape sequence in them could rewrite what is on the screen.
+    Names and messages may come from files of others: an escape sequence in them could rewrite the screen.
     """
     return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
 
@@ -99,10 +99,11 @@ def _escaped(character: str) -> str:
 
 
 def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSError | None:
-    """Print to `stream` (None: it was closed before we started). Return the error where it cannot be written.
+    """Print to `stream` (None: it was closed before the start). Return the error if it cannot be written.
 
-    is_drawn: the text is escaped already and has colours. The stream goes nowhere after an error, or the interpreter's
-    last flush would fail as well. A reader that has closed the pipe (`hil inspect a.h5 | head -1`) is no error.
+    is_drawn: the text is already escaped and has colours. After an error the stream is redirected to nowhere, or the
+    interpreter's last flush would fail too. A reader that has closed the pipe (`hil inspect a.h5 | head -1`) is no
+    error.
     """
     if stream is None:
         return None
@@ -140,7 +141,7 @@ def out_table(table: Table) -> None:
 
 
 def _widths(rows: Sequence[Sequence[str]], room: int) -> list[int]:
-    """Return the width of each column so that all fit into `room` and no word is broken; [] where they cannot."""
+    """Return the width of each column so that all fit into `room` and no word is broken; [] if they cannot."""
     cells = [[line for cell in column for line in cell.splitlines()] for column in zip(*rows, strict=True)]
     least = [max((len(word) for line in lines for word in line.split()), default=0) for lines in cells]
     widths = [max(map(len, lines), default=0) for lines in cells]

@@ -45,10 +45,10 @@ def _ignore(check: Check) -> None:
 
 @dataclass(slots=True)
 class CheckList:
-    """The checks so far. on_check: is called with each as it is made.
+    """The checks so far. on_check: called with each as it is made.
 
-    keys: of the stand file on which each check depends, by its name; an error that names none of them names them all.
-    info and bus are None where it did not get so far; signal: the one that ended it early, or 0.
+    keys: for each check, the keys of the stand file on which it depends; an error names them. info and bus are None if
+    the checks ended before they were known; signal: the one that ended them early, or 0.
     """
 
     on_check: Callable[[Check], None] = _ignore
@@ -60,7 +60,7 @@ class CheckList:
 
     @property
     def ok(self) -> bool:
-        """Whether no check is an error."""
+        """Return whether no check is an error."""
         return all(check.verdict is not Verdict.ERROR for check in self.checks)
 
     def add(self, name: str, verdict: Verdict, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Commissioning: the trials of a drive under a small torque, and their outcome, which `hil record` asks for."""
+"""Commissioning: tests of a drive under a small torque, and their result, which `hil record` requires."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The outcome of commissioning, and the trials that it comes from; guardian: None where there is none."""
+    """The result of commissioning, and the trials behind it; guardian: None if there is none."""
 
     outcome: Commissioning
     info: ServoInfo
@@ -35,7 +35,7 @@ class Report:
 
     @property
     def good(self) -> bool:
-        """Whether everything switches the drive's torque off."""
+        """Return whether everything switches the drive's torque off."""
         return self.outcome.releases and self.outcome.stops_ours
 
     @property
@@ -67,10 +67,10 @@ class Report:
 
 
 def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[str], object]) -> Report | None:
-    """Make the trials and keep their outcome; None where one could not be made: `checks` says why.
+    """Make the trials and store their result; None if one could not be made: `checks` says why.
 
-    The torque is off on return. say: is called with a sentence before each trial. Raises WrongUse where the stand needs
-    no commissioning, or the outcome cannot be kept, and Untrustworthy where it cannot be decided.
+    The torque is off on return. say: called with a sentence before each trial. Raises WrongUse if the stand needs no
+    commissioning or the result cannot be stored, and Untrustworthy if the trials do not decide.
     """
     if stand.stand.backend in NOTHING_TURNS:
         raise WrongUse(f"backend {stand.stand.backend!r} drives nothing real: it needs no commissioning")
@@ -88,7 +88,7 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
 
 
 def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str, Try]) -> Trial | None:
-    """Make a trial, again where its run ended before it was made; None where it could not be made: see `checks`."""
+    """Make a trial; repeat it if its run ended before it was made; None if it could not be made: see `checks`."""
     name, trial = named
     reason = ""
     for _ in range(_ATTEMPTS):
@@ -112,7 +112,7 @@ def _reduced(stand: Stand) -> Stand:
 
 
 def _kept(checks: CheckList, info: ServoInfo, mode: Quantity, trials: tuple[Trial, Trial | None, Trial]) -> Report:
-    """Judge the trials, keep the outcome and return it."""
+    """Judge the trials, store the result and return it."""
     signalled, guarded, watched = trials
     for name, trial in (("second signal", signalled), ("guardian", guarded), ("watchdog", watched)):
         if trial is not None:

@@ -1,7 +1,6 @@
 """The checks of `hil doctor`: connect, test the link, arm and stop, and on request jog the motor.
 
-Every way out leads through `disarm` and `close`; the jog is a run of the recorder, under its guard, with the stand's
-limits.
+Every path ends in `disarm` and `close`. The jog is a run of the recorder, under its guard, with the stand's limits.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ def examine(
 
     rate: Hz that the link must reach. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
     (None: a twentieth of the limit). tuned: whether to look for the highest rate. say: commissions the drive, and is
-    called with a sentence before each of its trials; None: not. Return the outcome of that. Raises WrongUse where the
+    called with a sentence before each of its trials; None: not. Return the outcome of that. Raises WrongUse if the
     stand file does not suffice, and as `commission` does.
     """
     stand.checked_limits()
@@ -83,7 +82,7 @@ def examine(
 
 
 def _check_port(checks: CheckList, stand: Stand) -> None:
-    """Check the serial port or the CAN interface that the drive's table names, where it is this machine's."""
+    """Check the serial port or the CAN interface that the drive's table names, if it is on this computer."""
     table = stand.devices.get(str(stand.stand.backend))
     interface = getattr(table, "interface", None)
     name = getattr(table, "port", None) if interface is None else getattr(table, "channel", None)
@@ -113,7 +112,7 @@ def _check_real_time(checks: CheckList) -> None:
 
 @contextmanager
 def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Servo | None]:
-    """Yield the servo, or None where it cannot be opened. Its torque is off and its link closed afterwards."""
+    """Yield the servo, or None if it cannot be opened. Its torque is off and its link closed afterwards."""
     try:
         servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     except DriverError as error:
@@ -142,7 +141,7 @@ def _torque_off(checks: CheckList, servo: Servo) -> None:
 
 
 def _searched(stand: Stand, error: DriverError) -> str:
-    """Return a sentence about the devices that answer where the one in the stand file does not, "" without any."""
+    """Return a sentence about the devices that answer if the one in the stand file does not, "" without any."""
     name = check_backend(stand.stand.backend)
     if not isinstance(error, NoReply | BadReply):
         return ""

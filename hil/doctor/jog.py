@@ -46,7 +46,7 @@ class Jog:
     joint_follows: float
 
     def moved(self, position_lsb: float) -> bool:
-        """Return whether the motor moved by more than its counts, `position_lsb` rad (NaN where not known)."""
+        """Return whether the motor moved by more than its counts, `position_lsb` rad (NaN if not known)."""
         return self.motor > _FEW_COUNTS * (position_lsb if math.isfinite(position_lsb) else 1e-4)
 
     def wrong_signs(self) -> list[str]:

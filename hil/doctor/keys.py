@@ -1,4 +1,4 @@
-"""The keys of the stand file that the checks depend on, so that an error names what to change."""
+"""The keys of the stand file that the checks depend on, so that an error can name what to change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DEVICE = {
     "watchdog": ("watchdog",),
     "signs": ("sign",),
 }
-"""Of the drive's own table, by check."""
+"""Keys of the drive's own table, by check."""
 _SENSOR = {"joint sensor": ("port", "baudrate", "format"), "signs": ("sign",)}
 _STAND = {
     "readings": ("stand.torque_source",),

@@ -63,7 +63,7 @@ def _check_figures(checks: CheckList, bus: LinkFigures, rate: float) -> None:
 
 
 def check_readings(checks: CheckList, stand: Stand, samples: list[Sample]) -> bool:
-    """Check what the sensors read at rest. Return False where no recording could be made from it."""
+    """Check what the sensors read at rest. Return False if no recording could be made from it."""
     names = ("motor_position", "motor_torque", "joint_torque", "temperature", "voltage")
     position, torque, joint, temperature, voltage = np.array([[getattr(s, name) for name in names] for s in samples]).T
     source = stand.stand.torque_source

@@ -19,9 +19,9 @@ _READINGS = (
 
 
 class Left(NamedTuple):
-    """The share of the load that was left, in words too; releases: None where it cannot be decided.
+    """The remaining fraction of the load, also in words; releases: None if it cannot be decided.
 
-    measured: whether the motor's own torque decided, which no friction holds.
+    measured: whether the motor's own torque decided, which friction cannot hold.
     """
 
     releases: bool | None
@@ -47,10 +47,10 @@ class Load:
                     self._levels[name] = (fmean(before), change)
 
     def left(self, after: Sequence[Sample]) -> Left:
-        """Return what is left of the load in the samples `after`.
+        """Return what remains of the load in the samples `after`.
 
-        The first reading that the load changed by more than its noise decides: the motor's torque, the joint's, the
-        deflection, which friction may hold.
+        The first of these readings that the load changed by more than its noise decides: the motor's torque, the
+        joint's torque, the deflection, which friction may hold.
         """
         shares = {name: share for name, _ in _READINGS if math.isfinite(share := self._share(name, after))}
         if not shares:

@@ -1,8 +1,8 @@
-"""The trials of commissioning, each under a tenth of the torque limit: a drive's commands stay away, its guardian acts,
-and this process is sent two signals to stop.
+"""The trials of commissioning, each under a tenth of the torque limit: the drive gets no commands, its guardian acts,
+and this process gets two signals to stop.
 
-Each trial is a run of the recorder, under its guard and its guardian, whose torque-off ends it whatever happens. In the
-middle of the run the trial takes the drive's commands away and reads the drive.
+Each trial is a run of the recorder, under its guard and its guardian, whose torque-off ends it in any case. In the
+middle of the run the trial withholds the drive's commands and reads the drive.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from hil.stand.opening import open_servo
 from hil.stand.servo import StandServo
 
 LOAD = 0.1
-"""Share of the torque limit, or of the deflection limit, that is applied."""
+"""The fraction of the torque limit, or of the deflection limit, that is applied."""
 _WATCH = Watch(silence=0.25, longest=10.0)
 _RATE = 100.0  # Hz
 _RISE, _HOLD = 0.5, 0.3  # s of the load's rise, and under it before the trial: a torque that stays longer looks stuck
@@ -59,22 +59,22 @@ _SETTLES = 0.1  # s after torque-off until it is read
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The outcome of one trial. left: of the load, after `seconds`."""
+    """The result of one trial. left: of the load, after `seconds`."""
 
     left: Left
     seconds: float
 
 
 Try = Callable[[Servo, Load], Trial | None]
-"""Takes the commands of the loaded servo away. None: the run goes on, and its end is what is tried."""
+"""A function that withholds the commands of the loaded servo. None: the run continues, and its end is the trial."""
 
 
 class EndedEarly(Exception):
-    """A run ended before its trial was made, with its torque off; the reason is its message."""
+    """A run ended before its trial was made, with its torque off; the message is the reason."""
 
 
 class _TrialOver(Exception):
-    """The trial is made, and ends its run."""
+    """The trial has been made, which ends its run."""
 
 
 class _TriedServo:
@@ -128,7 +128,7 @@ class _TriedServo:
 
 
 def silence(info: ServoInfo) -> float:
-    """Return the s without commands that a drive is tried for. Raises WrongUse for a slow watchdog."""
+    """Return the time without commands, s, for which a drive is tested. Raises WrongUse for a slow watchdog."""
     if not info.watchdog:
         return _UNKNOWN
     if info.watchdog > _LONGEST - _BEYOND:
@@ -196,7 +196,7 @@ def inner(servo: Servo) -> Servo:
 
 
 def make_trial(checks: CheckList, stand: Stand, mode: Quantity, name: str, trial: Try) -> Trial | None:
-    """Open the servo, make one trial and close it; None where there is none to make, or a signal arrived: see `checks`.
+    """Open the servo, make one trial and close it; None if there is none to make, or a signal arrived: see `checks`.
 
     Raises EndedEarly, WrongUse, DriverError. The torque is off on return, or `checks` has the alarm.
     """
@@ -242,7 +242,7 @@ def _made(checks: CheckList, stand: Stand, mode: Quantity, what: tuple[Servo, Tr
 
 
 def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
-    """Raise WrongUse where the drive cannot tell a load of `load` N m from none."""
+    """Raise WrongUse if the drive cannot distinguish a load of `load` N m from none."""
     if mode is Quantity.TORQUE and load < _COUNTS * info.torque_lsb:
         raise WrongUse(
             f"{LOAD * 100:.0f} % of the torque limit is {load:.2g} N m at the motor, below {_COUNTS:g} counts of this "
@@ -252,7 +252,7 @@ def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
 
 
 def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases: Phases) -> Trial | None:
-    """Read the drive after its torque-off, which it confirmed. Return the trial, by default that of this torque-off."""
+    """Read the drive after its confirmed torque-off. Return the trial, by default that of this torque-off."""
     off_at = next(t for t, phase in phases.history if phase is Phase.OFF)
     tried.clock.sleep_until(tried.clock.now() + _SETTLES)
     left = tried.load.left([read(tried)])

@@ -1,6 +1,6 @@
-"""The highest rate at which a drive answers in time, and the settings that get it: `hil doctor --tune`.
+"""The highest rate at which a drive answers in time, and the settings needed for it: `hil doctor --tune`.
 
-The torque stays off. A reply is in time where it has come before the next tick is due.
+The torque stays off. A reply is in time if it arrives before the next tick is due.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LATENCY = 1  # ms
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """latency: ms of the USB adapter's timer, None: it has none. return_delay: s, None: the drive has none.
+    """latency: ms of the USB adapter's timer, None if it has none. return_delay: s, None if the drive has none.
 
     urgent: whether the loop runs in the real-time class.
     """
@@ -90,7 +90,7 @@ def highest_rate(servo: Servo, stop: StopRequest) -> Reached:
 
 
 def _trips(servo: Servo, stop: StopRequest) -> list[float]:
-    """Return the round trips, s, as fast as they go; a lost reply is infinite."""
+    """Return the round trips, s, as fast as possible; a lost reply is infinite."""
     clock, trips = servo.clock, list[float]()
     end = clock.now() + _LONGEST / 4.0
     while len(trips) < _FEW and clock.now() < end and not stop.count:
@@ -148,7 +148,7 @@ def _settings(stand: Stand, port: str) -> Iterator[Setting]:
 
 @contextmanager
 def _applied(stand: Stand, port: str, setting: Setting) -> Iterator[Stand]:
-    """Yield the stand with a setting; the adapter has its own again afterwards."""
+    """Yield the stand with a setting applied; afterwards the adapter's previous setting is restored."""
     backend = str(stand.stand.backend)
     table: Any = stand.devices.get(backend)
     if setting.return_delay is not None:

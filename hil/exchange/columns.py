@@ -25,9 +25,9 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of any format: its headings, and how columns are read by their indices.
+    """A table of any format: its headings, and a function that reads columns by their indices.
 
-    joins_topics: whether its rows have empty cells where another topic was read.
+    joins_topics: whether its rows have empty cells where only another topic was read.
     """
 
     source: Path
@@ -126,7 +126,7 @@ def _columns(source: Path) -> _Columns:
 
 
 def parquet(path: Path) -> ModuleType:
-    """Return pyarrow's Parquet module, needed for `path`. Raises WrongUse where it is not installed."""
+    """Return pyarrow's Parquet module, needed for `path`. Raises WrongUse if it is not installed."""
     try:
         import pyarrow.parquet
     except ImportError:

@@ -1,7 +1,7 @@
 """The column of a table with the set-points: of torque, position, current or voltage.
 
-Only the shape of a command counts for Kc and Bc, which it serves as an instrument. A reading does not: its errors are
-those that an instrument must be free of.
+Only the shape of a command matters for Kc and Bc, for which it serves as an instrument. A measured channel cannot
+serve: an instrument must be free of its errors.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def dimension_of_command(title: str, unit: str | None) -> str:
 
 
 def held(command: Array) -> Array:
-    """Return set-points (n,) where each holds until the next: an empty cell has that of the row before."""
+    """Return set-points (n,) with each held until the next: an empty cell gets the value of the row before."""
     good = np.isfinite(command)
     last = np.maximum.accumulate(np.where(good, np.arange(len(command)), -1))
     return np.where(last >= 0, command[last], np.nan)

@@ -1,4 +1,4 @@
-"""The identified coupling as other programs take it: its stiffness, damping and friction, from a result of identify."""
+"""The identified coupling for other programs: its stiffness, damping and friction, from a result of identify."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def of_result(path: Path) -> Coupling:
 def of_json(table: Mapping[str, Any], name: str) -> Coupling:
     """Return the coupling in the JSON object of an identification.
 
-    name: for messages. Raises Untrustworthy where Kc or Bc must not be trusted, WrongUse where the object lacks one.
+    name: for messages. Raises Untrustworthy if Kc or Bc must not be trusted, WrongUse if the object lacks one.
     """
     try:
         return _of_json(table, name)
@@ -87,7 +87,7 @@ def _of_json(table: Mapping[str, Any], name: str) -> Coupling:
 
 
 def _with_interval(parameter: Mapping[str, Any]) -> tuple[float, tuple[float, float]]:
-    """Return a parameter's value and interval. Raises ValueError where one is no number."""
+    """Return a parameter's value and interval. Raises ValueError if one is no number."""
     low, high = (float(end) for end in parameter["ci95"])
     value = float(parameter["value"])
     if not all(map(math.isfinite, (value, low, high))):

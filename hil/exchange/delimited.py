@@ -99,7 +99,7 @@ def _unequal(source: Path, line: int, row: list[str], names: list[str], delimite
 
 
 class _Header(NamedTuple):
-    """The headings, the character between them, the lines that they take, the columns of dates, the lines below."""
+    """The headings, the delimiter, the number of their lines, the columns with dates, the first lines below."""
 
     names: list[str]
     delimiter: str
@@ -129,7 +129,7 @@ def _header(source: Path, text: TextIO) -> _Header:
 
 
 def _refuse_bare_numbers(source: Path, top: Sequence[str], names: int) -> None:
-    """Raise WrongUse for a table whose numbers begin at once, or below comments and a title alone."""
+    """Raise WrongUse for a table without headings: numbers begin at once, or below comments or a title only."""
     for line in top:
         delimiter = _delimiter(line)
         cells = _fields(line, delimiter)
@@ -143,7 +143,7 @@ def _refuse_bare_numbers(source: Path, top: Sequence[str], names: int) -> None:
 
 
 def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
-    """Return the index of the line of headings, and the first row below it ([] where none was recognised).
+    """Return the index of the line of headings, and the first row below it ([] if none was recognised).
 
     Loggers write comments and settings above the headings. The headings are the first line without a number that has as
     many fields as the row of numbers below it; lines that are empty or hold units may stand between. The first line is
@@ -159,18 +159,20 @@ def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
 
 
 def _heads(line: str, delimiter: str, row: Sequence[str]) -> bool:
-    """Whether a line of several names, none a number, has a field for each cell of a row that is not empty."""
+    """Return whether a line contains several names, no number, and a field for each non-empty cell of a row."""
     names = _fields(line, delimiter)
     return len(row) > 1 < len(names) and not any(row[len(names) :]) and not any(map(_is_number, names))
 
 
 def _widest(lines: Sequence[str], delimiter: str) -> int:
-    """Return the most fields that one of the lines has: LabVIEW names a column "Comment" of which no row has a cell."""
+    """Return the largest number of fields of the lines: LabVIEW names a column "Comment" for which no row has a
+    cell.
+    """
     return max((len(_fields(line, delimiter)) for line in lines), default=0)
 
 
 def _next_row(lines: Sequence[str], delimiter: str) -> list[str]:
-    """Return the cells of the next line that is neither empty nor of units; [] where it does not begin with numbers."""
+    """Return the cells of the next line that is neither empty nor of units; [] if it does not begin with numbers."""
     for line in lines:
         cells = _fields(line, delimiter)
         if any(map(_is_number, cells)):
@@ -186,9 +188,9 @@ def _example(columns: int, delimiter: str) -> str:
 
 
 def _delimiter(line: str) -> str:
-    """Return the character that parts the fields of a line: a space where there is no other.
+    """Return the delimiter of a line's fields: a space if there is no other.
 
-    Between numbers a semicolon or a tab is one, and the commas are those of decimals, however many there are.
+    Between numbers a semicolon or a tab is the delimiter, and commas are then decimal commas, however many there are.
     """
     for sure in ";\t":
         if sure in line and all(_is_number(cell) for cell in line.split(sure) if cell.strip()):
@@ -198,7 +200,7 @@ def _delimiter(line: str) -> str:
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
-    """Return the cells of a line, [] where it is not CSV."""
+    """Return the cells of a line, [] if it is not CSV."""
     try:
         return [cell.strip() for cell in next(_reader([line], delimiter), [])]
     except csv.Error:
@@ -241,9 +243,9 @@ def _is_number(text: str) -> bool:
 
 
 def _units(line: str, delimiter: str, columns: int) -> list[str]:
-    """Return the units in the second line of a table, as some loggers write them, "" for a column without; [] if none.
+    """Return the units in the second line of a table, "" for a column without one; [] if it is no line of units.
 
-    A line with a quotation mark or a number is not one of them.
+    A line with a quotation mark or a number is not one.
     """
     if '"' in line or any(map(_is_number, line.split(delimiter))):
         return []
@@ -333,7 +335,7 @@ class _Cells:
         return f"{text!r} in row {line}, column {self._names[at]}"
 
     def check_commas(self) -> None:
-        """Raise WrongUse where decimals are written both ways, or every comma may also be a thousands separator."""
+        """Raise WrongUse if decimals are written both ways, or every comma may also be a thousands separator."""
         if self._point and self._comma:
             raise WrongUse(
                 f"{self._source} writes decimals both ways, {self._point}, and {self._comma}: write all with a point"

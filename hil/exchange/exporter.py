@@ -41,7 +41,7 @@ _LATEST = (1 << 31) * 10**9  # ns since 1970 that a time stamp of ROS 2 holds
 
 
 class TableFormat(NamedTuple):
-    """A format of recordings: its suffixes, its writer, and the check that its library is there, given the output."""
+    """A format of recordings: its suffixes, its writer, and a check that its library is installed."""
 
     suffixes: tuple[str, ...]
     write: Callable[[Recording, Path], None]
@@ -180,7 +180,7 @@ def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:
 
 
 def _started(recording: Recording) -> int:
-    """Return when the recording was made, ns since 1970; 0 where its header does not say."""
+    """Return when the recording was made, ns since 1970; 0 if its header does not say."""
     try:
         return int(datetime.fromisoformat(str(recording.attributes.get("created", ""))).timestamp()) * 10**9
     except ValueError:

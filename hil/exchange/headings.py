@@ -24,13 +24,13 @@ def heading(channel: str) -> str:
 
 
 def listed(titles: Sequence[str]) -> str:
-    """Return names for a message, the first of many."""
+    """Return names for a message, only the first ones if there are many."""
     more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
     return ", ".join(titles[:_SHOWN]) + more
 
 
 def names(title: str) -> list[str]:
-    """Return the names by which a heading is found beside its whole text: those without the unit."""
+    """Return the names by which a heading is found besides its whole text: those without the unit."""
     ends = [name for name, unit in _at_the_end(title) if name and is_unit(unit)]
     return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
@@ -38,7 +38,7 @@ def names(title: str) -> list[str]:
 def unit_of(title: str, dimension: str) -> str | None:
     """Return the unit of a dimension in a heading, None without one.
 
-    Raises WrongUse where the heading states two different units, or one of another dimension in brackets.
+    Raises WrongUse if the heading states two different units, or one of another dimension in brackets.
     """
     bracketed = [unit for _, unit in _in_brackets(title)]
     plain = _BRACKETS.sub("", title).strip()
@@ -58,7 +58,7 @@ def unit_of(title: str, dimension: str) -> str | None:
 
 
 def bracketed_text(title: str) -> str | None:
-    """Return what stands in the brackets of a heading, unit or not; None without brackets."""
+    """Return the text in the brackets of a heading, unit or not; None without brackets."""
     found = [text for _, text in _in_brackets(title) if text]
     return found[0] if found else None
 
@@ -76,7 +76,7 @@ def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
 
 
 def _at_the_end(title: str) -> Iterator[tuple[str, str]]:
-    """Yield the ways to part a heading into a name and what may be its unit, the longest unit first."""
+    """Yield the ways to split a heading into a name and a possible unit, the longest unit first."""
     yield "", title.strip()
     for match in _SEPARATED.finditer(title):
         yield title[: match.start()].strip(), title[match.end() :].strip()

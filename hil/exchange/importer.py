@@ -130,9 +130,9 @@ def import_table(
 
 
 def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], list[Diagnostic]]:
-    """Leave out rows that a logger wrote twice, which would be taken for samples of another moment.
+    """Leave out rows that a logger wrote twice, which would count as samples of another moment.
 
-    Under a coarse clock, which gives many rows one stamp, a joint at rest reads the same in several of them.
+    With a coarse clock, which gives many rows one stamp, a joint at rest has equal readings in several of them.
     """
     kept = np.concatenate([[True], (numbers[:, 1:] != numbers[:, :-1]).any(axis=0)])
     twice, stamps = len(rows) - np.count_nonzero(kept), numbers[time, kept]
@@ -148,7 +148,7 @@ def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, ND
 def _all_stated(
     source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], stated: Mapping[str, str | None]
 ) -> dict[str, str]:
-    """Return the units. Raises WrongUse with the ranges of the columns of which nobody states the unit."""
+    """Return the units. Raises WrongUse for columns without a stated unit, with the ranges of their values."""
     missing = [
         f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {_give(channel)}"
         for channel, unit in stated.items()
@@ -185,7 +185,7 @@ def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swi
 
 
 def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -> list[Diagnostic]:
-    """Return the warnings about the size of torque and deflection. Raises WrongUse where a unit must be wrong."""
+    """Return the warnings about the size of torque and deflection. Raises WrongUse if a unit must be wrong."""
     limits = None if stand is None else stand.limits
     found = implausible(*swings, limits)
     if limits is not None and found and excess(*swings, limits) > GROSS:
@@ -210,7 +210,7 @@ def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[st
 def _with_readings(
     source: Path, names: Sequence[str], numbers: Array, rows: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Leave out the rows that were not read at this time. Raises WrongUse where none has both torque and deflection."""
+    """Leave out rows without a new reading. Raises WrongUse if no row has both torque and deflection."""
     read = np.isfinite(numbers[[at for at, name in enumerate(names) if name not in {"time", "command"}]])
     if not read.all(axis=0).any():
         raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
@@ -253,9 +253,9 @@ def _dimensions(titles: Mapping[str, str], columns: Mapping[str, Column]) -> Map
 
 
 def _unit(channel: str, dimension: str, title: str, column: Column) -> str | None:
-    """Return a column's unit: the one given, else the heading's; None where there is neither.
+    """Return a column's unit: the one given, else the heading's; None if there is neither.
 
-    Raises WrongUse where the two differ, and for an unknown unit.
+    Raises WrongUse if the two differ, and for an unknown unit.
     """
     named = unit_of(title, dimension)
     if column.unit is None:
@@ -293,7 +293,7 @@ def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
 
 
 def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
-    """Let the time begin at zero, and bring what is of the motor to the joint."""
+    """Shift the time to begin at zero, and convert motor channels to the joint."""
     channels["time"] = channels["time"] - channels["time"][0]
     way = None if stand is None else Transmission.of(stand.stand)
     if way is not None and "motor_torque" in channels:

@@ -27,7 +27,7 @@ _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] =
 
 @dataclass(frozen=True, slots=True)
 class RowFilter:
-    """A filter that keeps the rows in which `column` compares so with `value`."""
+    """A filter that keeps the rows in which the comparison of `column` with `value` is true."""
 
     column: str
     comparison: str

@@ -21,7 +21,7 @@ from hil.uncertainty.criteria import friction_likeness
 from sim_backend.parameters import SimParameters
 
 ROUGH_RANGE = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))
-"""Factors on the rough Kc and Bc for all of which the best excitation keeps every limit."""
+"""Factors on the rough Kc and Bc; within them the best excitation keeps every limit."""
 
 LIMITED = ("drive torque", "torque", "deflection", "velocity")
 """The limited quantities, in the order of `Peaks`; the motor's torque and the coupling's are both at the joint."""
@@ -30,8 +30,9 @@ UNITS = ("N m", "N m", "rad", "rad/s")
 """The units of the limits."""
 
 AUTO = tuple(term for term in TERMS if term == "linear" or term in CONSIDERED)
-"""The terms that model selection considers and whose errors can be predicted: more terms never lower an error, so that
-those of any model that it selects from them are at most these."""
+"""The terms that model selection considers and whose errors can be predicted. More terms never lower an error, so the
+errors of any model selected from them are at most these.
+"""
 
 _DIGITS = 3
 
@@ -70,7 +71,7 @@ class Assessment:
     """An excitation with its predicted peaks and errors.
 
     peaks: at the rough Kc and Bc. shares: each divided by its limit. worst_shares: the largest within `ROUGH_RANGE`.
-    friction: the bias of Bc, N m s/rad, for one N m of dry friction that the model omits; 0 where it has friction.
+    friction: the bias of Bc, N m s/rad, for one N m of dry friction that the model omits; 0 if it has friction.
     friction_likeness: the part of the damping torque that such friction would explain.
     """
 
@@ -198,7 +199,7 @@ def assess(task: Task, profile: Profile) -> Assessment:
 
 
 def check_limits(task: Task, judged: Assessment) -> None:
-    """Raise WrongUse where the excitation would exceed a limit, with an amplitude that would not."""
+    """Raise WrongUse if the excitation would exceed a limit, with an amplitude that would not."""
     worst = max(judged.shares)
     if worst <= 1.0 + 1e-9:
         return

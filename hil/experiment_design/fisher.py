@@ -1,11 +1,11 @@
 """Predict the error of each parameter from a motion and its sensors (Fisher information).
 
-Two errors are predicted. No unbiased estimate from these readings beats the bound of Cramer and Rao, and least squares
-reaches it in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in
-white Gaussian noise costs a factor sqrt(pi/2) = 1.25 on it (Koenker, Quantile Regression, 2005, section 4.3).
+Two errors are predicted. The Cramer-Rao bound is the smallest error of any unbiased estimate; least squares reaches it
+in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in white Gaussian noise
+increases the error by a factor sqrt(pi/2) = 1.25 (Koenker, Quantile Regression, 2005, section 4.3).
 
-Both come from the sensitivities x of the torque to each parameter and from the spectrum of the residuals of a right
-model: the torque's own noise, and that of the angle, which the coupling turns into torque.
+Both follow from the sensitivities x of the torque to each parameter, and from the spectrum of the residuals of a right
+model: the torque's own noise, and that of the angle, which the coupling converts to torque.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
 
 
 def _ageing(joint: Joint, motion: Motion) -> Array:
-    """Return the derivative (n,), N m/s, of the torque reading by its age."""
+    """Return the derivative (n,), N m/s, of the torque reading with respect to its age."""
     return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
 
 
@@ -143,7 +143,7 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
 
 
 def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
-    """Return the error of Bc, N m s/rad, for each N m of dry friction that the terms leave out; 0 if they have it."""
+    """Return the error of Bc, N m s/rad, for each N m of dry friction that the model lacks; 0 if it has friction."""
     if _model(terms).sticks:
         return 0.0
     columns = sensitivities(terms, joint, motion)

@@ -30,7 +30,7 @@ _FEWEST, _MOST = 4, 64  # steps between two ticks
 class Joint:
     """A coupling with stiffness Kc, N m/rad, and damping Bc, N m s/rad, and the motor reflected to the joint.
 
-    inertia: eta^2 Dm, kg m^2, 0 where it is not known. friction: eta^2 Bm, N m s/rad.
+    inertia: eta^2 Dm, kg m^2, 0 if it is not known. friction: eta^2 Bm, N m s/rad.
     """
 
     stiffness: float

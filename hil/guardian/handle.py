@@ -1,4 +1,4 @@
-"""The guarded process's side of the guardian: start it, give signs of life, look at what it did, dismiss it."""
+"""The guarded process's side of the guardian: start it, send signs of life, check what it did, end it."""
 
 from __future__ import annotations
 
@@ -39,14 +39,17 @@ class GuardianLost(DriverError):
 
 
 def available() -> bool:
-    """Whether this system can have a guardian: it inherits open descriptors, which Windows does not offer."""
+    """Return whether this system can have a guardian: it must inherit open descriptors, which Windows does not
+    offer.
+    """
     return os.name == "posix"
 
 
 class Guardian:
-    """A running guardian of the drive at the end of `path`. silence: s without a sign of life until it acts.
+    """A running guardian of the drive at the end of `path`. silence: the time without a sign of life, s, after which it
+    acts.
 
-    Raises DriverError where it cannot be started, or cannot reach the drive.
+    Raises DriverError if it cannot be started, or cannot reach the drive.
     """
 
     def __init__(self, path: OffPath, silence: float) -> None:
@@ -97,24 +100,24 @@ class Guardian:
             raise _not_started(f"{name}: {said or 'it ended at once'}")
 
     def beat(self, takes: float = 0.0) -> None:
-        """Give a sign of life; the next one is due within `silence`, and the `takes` s of what is done first."""
+        """Give a sign of life. The next one is due within `silence`, plus the `takes` s of the present action."""
         self._words[Word.DUE] = now() + self._silence + int(takes * 1e9)
 
     def expect(self, seconds: float) -> None:
-        """Let the next sign of life be due in `seconds` s; infinity: not at all, while the torque is off."""
+        """Set the next sign of life to be due in `seconds` s; infinity: not at all, while the torque is off."""
         self._words[Word.DUE] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     def limit(self, seconds: float) -> None:
-        """Let the torque be off in `seconds` s in any case; infinity: no limit."""
+        """Set the latest time at which the torque must be off, in `seconds` s; infinity: no limit."""
         self._words[Word.LATEST] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     @property
     def fired(self) -> bool:
-        """Whether it has switched the torque off."""
+        """Return whether it has switched the torque off."""
         return self._words[Word.FIRED] != 0
 
     def check(self) -> None:
-        """Raise GuardianFired where it has switched the torque off, GuardianLost where it would not."""
+        """Raise GuardianFired if it has switched the torque off, GuardianLost if it would not."""
         fired = self._words[Word.FIRED]
         if fired:
             raise GuardianFired(
@@ -135,20 +138,20 @@ class Guardian:
         )
 
     def restore(self, path: OffPath) -> None:
-        """Tell it which settings to restore: those that arming changed."""
+        """Send it the settings to restore: those that arming changed."""
         self._say({"restore": _hex(path.restore)})
 
     def fire(self, *, tried: bool = False) -> None:
-        """Let it send torque-off too: the drive did not confirm ours; or it is `tried`, and then says nothing."""
+        """Let it send torque-off too, because the drive did not confirm ours; tried: as a test, without a message."""
         self._say({"fire": True, "tried": True} if tried else {"fire": True})
 
     def stand_down(self) -> None:
-        """Dismiss it; returns once it has ended, so that it sends nothing any more. Harmless when it has ended."""
+        """End it; returns after it has ended, so that it sends nothing more. Harmless if it has ended."""
         self._say({"stand_down": True})
         _end(self._process)
 
     def close(self) -> None:
-        """Dismiss it, and release the memory."""
+        """End it, and release the memory."""
         self.stand_down()
         os.close(self._commands)
         self._words.close()

@@ -1,4 +1,4 @@
-"""The guardian's own handle on a link: an inherited descriptor, or a bus that it opens a second time."""
+"""The guardian's own access to a link: an inherited descriptor, or a bus that it opens a second time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import Any
 _PATIENCE = 0.05  # s for one packet that the link does not accept
 
 Send = Callable[[bytes], None]
-"""Sends one packet as a whole. Raises OSError where it cannot."""
+"""A function that sends one complete packet. Raises OSError if it cannot."""
 
 
 def opened(way: dict[str, Any]) -> Send:
     """Return the function that sends over the link described by `way`, see `drivers.off_path.OffPath`.
 
-    Raises OSError where the bus cannot be opened a second time.
+    Raises OSError if the bus cannot be opened a second time.
     """
     if way["bus"] is not None:
         from drivers.canbus.off_path import sender

@@ -1,9 +1,9 @@
 """The guardian's process, started by `hil.guardian.handle` before the motor is armed.
 
-It has what it needs before anything goes wrong: an open link, the frames that switch the torque off, and the time at
-which the guarded process must give its next sign of life. It sends those frames where that process is gone, stands
-still, is late, or runs longer than its profile. A guarded process that comes back finds that it may not go on
-(`Word.FIRED`). Standard library only, in a session of its own, deaf to the signals of a terminal.
+It has everything it needs before a fault occurs: an open link, the frames that switch the torque off, and the time at
+which the guarded process must give its next sign of life. It sends those frames if that process is gone, is stopped, is
+late, or runs longer than its profile. A guarded process that continues later finds that it must not (`Word.FIRED`).
+Standard library only, in its own session, ignoring the signals of a terminal.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class StandDown(Exception):
 
 
 class Parent:
-    """The guarded process: whether it lives, stands still, and what it says. commands: the read end of its pipe."""
+    """The guarded process: whether it lives, is stopped, and what it says. commands: the read end of its pipe."""
 
     def __init__(self, pid: int, commands: int) -> None:
         self.gone = False
@@ -72,11 +72,11 @@ class Parent:
         return out
 
     def stands_still(self) -> bool:
-        """Return whether it was stopped by a signal or a debugger; False where the system does not tell."""
+        """Return whether it was stopped by a signal or a debugger; False if the system does not tell."""
         return self._stat()[0] in {b"T", b"t"}
 
     def ends(self) -> bool:
-        """Return whether it is about to end: a killed process frees its memory first, which takes its time."""
+        """Return whether it is about to end: a killed process first frees its memory, which takes time."""
         return bool(int(self._stat()[6]) & _ENDING)
 
     def _stat(self) -> list[bytes]:
@@ -133,7 +133,9 @@ class Guardian:
         return Reason.STOPPED if self._stays_still(due) else None
 
     def _stays_still(self, due: int) -> bool:
-        """Return whether it stood still at the last look too, without a sign of life since: a tracer stops it too."""
+        """Return whether it was stopped at the last look too, without a sign of life since: a tracer stops it briefly
+        too.
+        """
         before, self._still_since_due = self._still_since_due, due if self._parent.stands_still() else -1
         return before == due == self._still_since_due
 

@@ -1,4 +1,4 @@
-"""A servo under a guardian: the signs of life are given where the recorder waits and where it sends."""
+"""A servo with a guardian: signs of life are given where the recorder waits and where it sends."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class GuardedServo:
     """`servo`, whose torque a guardian switches off where this process cannot. It runs from arming to `close`.
 
     It runs from the beginning where opening the servo has changed a setting, which a kill before arming would leave so.
-    After it has acted nothing is sent but torque-off: see `exchange`. Raises DriverError where it cannot be started.
+    After it has acted nothing is sent but torque-off: see `exchange`. Raises DriverError if it cannot be started.
     """
 
     def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
@@ -115,9 +115,10 @@ class GuardedServo:
         return sample
 
     def fall_silent(self) -> None:
-        """Send no set-point and give no sign of life any more; the guardian acts after `_LONGEST_SILENCE` at last.
+        """Send no set-point and give no sign of life any more; the guardian acts after `_LONGEST_SILENCE` at the
+        latest.
 
-        Raises DriverError where the servo cannot do that.
+        Raises DriverError if the servo cannot do that.
         """
         if not isinstance(self._servo, FallsSilent):
             raise DriverError(f"{self.info.backend}: this adapter cannot leave its drive alone while the torque is on")
@@ -127,7 +128,7 @@ class GuardedServo:
         self._servo.fall_silent()
 
     def let_guardian_act(self) -> None:
-        """Fall silent, and let the guardian switch the torque off. Raises DriverError where it is not running."""
+        """Fall silent, and let the guardian switch the torque off. Raises DriverError if it is not running."""
         if self._guardian is None:
             raise DriverError("the servo was not armed, so that it has no guardian yet")
         self._guardian.check()
@@ -135,7 +136,9 @@ class GuardedServo:
         self._guardian.fire(tried=True)
 
     def disarm(self) -> None:
-        """Torque off. The guardian, where it has acted, is dismissed first: two senders would garble each other."""
+        """Switch the torque off. If the guardian has already acted, end it first: two senders on one line corrupt each
+        other's frames.
+        """
         guardian = self._guardian
         if guardian is None:
             self._servo.disarm()
@@ -151,7 +154,7 @@ class GuardedServo:
         guardian.expect(math.inf)
 
     def close(self) -> None:
-        """Torque off, settings restored, link closed; then the guardian is dismissed. Never raises."""
+        """Switch the torque off, restore settings and close the link; then end the guardian. Never raises."""
         guardian, self._guardian = self._guardian, None
         self._beating = False
         if guardian is None:
@@ -167,8 +170,10 @@ class GuardedServo:
 
 
 def guarded(servo: Servo, watch: Watch) -> Servo:
-    """Return `servo` under a guardian; as it is, where its time is not real, no other process can reach its drive, or
-    the system is Windows. Raises DriverError where the guardian cannot be started; the servo is closed then.
+    """Return `servo` with a guardian. It is returned unchanged if its clock is virtual, if no other process can reach
+    its drive, or on Windows.
+
+    Raises DriverError if the guardian cannot be started; the servo is then closed.
     """
     if not (isinstance(servo, HasOffPath) and isinstance(servo.clock, MonotonicClock) and available()):
         return servo

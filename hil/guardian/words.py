@@ -1,6 +1,6 @@
-"""The memory that the guardian and the process that it guards share: five numbers, each written by one of the two.
+"""The memory that the guardian and the guarded process share: five numbers, each written by one of the two.
 
-Times are ns of `now`, which is the same in every process of a machine.
+Times are ns of `now`, which is the same in every process of a computer.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Reason(IntEnum):
 class Words:
     """The shared memory in the open file `descriptor`, which is closed with it.
 
-    A number is read and written as a whole: it lies within one machine word.
+    A number is read and written atomically: it lies within one machine word.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -78,7 +78,7 @@ class Comparison:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 

@@ -1,1 +1,1 @@
-"""The live view of a run: what its rows say so far, drawn by a process of its own."""
+"""The live view of a run: what its rows show so far, drawn by a separate process."""

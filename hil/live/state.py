@@ -1,4 +1,4 @@
-"""What the rows of a run say so far: rate, jitter, losses, margins of the limits, and first estimates of Kc and Bc."""
+"""What the rows of a run show so far: rate, jitter, losses, margins of the limits, and first estimates of Kc and Bc."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.recording.channels import Rows
 Array = NDArray[np.float64]
 
 WINDOW = 5.0
-"""s of the traces."""
+"""The length of the traces, s."""
 
 _LOST = np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))
 _RECENT = 500  # intervals from which rate and jitter are taken
@@ -67,7 +67,7 @@ class Margin:
 
     @property
     def used(self) -> float:
-        """The share of the limit, 0 to 1, beyond which the run ends."""
+        """The fraction of the limit in use; above 1 the run ends."""
         return self.reading / self.limit
 
 

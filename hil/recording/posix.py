@@ -27,7 +27,7 @@ if sys.platform == "win32":
         return os.write(file, data)
 
     def lock(file: int, *, shared: bool) -> None:
-        """Lock an open file until it is closed. Raises BlockingIOError where somebody else has locked it."""
+        """Lock an open file until it is closed. Raises BlockingIOError if somebody else has locked it."""
         del shared  # there is one kind of lock only
         os.lseek(file, _FAR, os.SEEK_SET)
         try:
@@ -41,7 +41,7 @@ if sys.platform == "win32":
         path.unlink()
 
     def take_name(file: int, source: Path, path: Path, *, replace: bool) -> int:
-        """Rename the open file `source` and return it. Raises FileExistsError where the new name is taken."""
+        """Rename the open file `source` and return it. Raises FileExistsError if the new name is taken."""
         os.close(file)  # an open file keeps its name here
         source.replace(path) if replace else source.rename(path)
         file = os.open(path, os.O_RDWR | os.O_BINARY)
@@ -72,7 +72,7 @@ else:
     def lock(file: int, *, shared: bool) -> None:
         """Lock an open file until it is closed, shared with HDF5's readers or for oneself alone.
 
-        Raises BlockingIOError where somebody else has a lock that does not allow it.
+        Raises BlockingIOError if somebody else has a lock that does not allow it.
         """
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
@@ -84,7 +84,7 @@ else:
             os.close(file)
 
     def take_name(file: int, source: Path, path: Path, *, replace: bool) -> int:
-        """Rename the open file `source` and return it. Raises FileExistsError where the new name is taken."""
+        """Rename the open file `source` and return it. Raises FileExistsError if the new name is taken."""
         if replace:
             source.replace(path)
         else:

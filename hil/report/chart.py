@@ -1,4 +1,4 @@
-"""Charts of a page that can be zoomed and read off, drawn in the browser by uPlot, which travels in the page."""
+"""Charts of a page that can be zoomed, drawn in the browser by uPlot, which is included in the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MISSING = 65_535  # stands for a NaN
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a panel: its values (n,), NaN where it is interrupted. colour: "soft", "first" or "error"."""
+    """A line of a panel: its values (n,), NaN if it is interrupted. colour: "soft", "first" or "error"."""
 
     name: str
     values: Array
@@ -44,7 +44,9 @@ class Chart:
     panels: Sequence[Panel]
 
     def as_json(self) -> str:
-        """Return the chart for the script of the page. Samples without x, between recordings, belong to no line."""
+        """Return the chart for the script of the page. Samples with NaN for x, between recordings, belong to no
+        line.
+        """
         kept = np.isfinite(self.x)
         order = np.flatnonzero(kept)[np.argsort(self.x[kept], kind="stable")]
         return json.dumps(

@@ -17,7 +17,8 @@ _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
-    """Return the factor to the printed unit of a parameter, and that unit: ms; mN m if `milli`, as in the paper.
+    """Return the factor to the printed unit of a parameter, and that unit: ms for times; mN m if `milli`, as in the
+    paper.
 
     The unit of a pure number is "".
     """
@@ -45,7 +46,7 @@ def duration(seconds: float) -> str:
 
 
 def rounded(half: float, *values: float) -> list[str]:
-    """Return the values, and last `half`, rounded to the first digit of `half`, half the width of their interval."""
+    """Return the values, and last `half`, rounded to the first digit of `half`, the half width of their interval."""
     if not (math.isfinite(half) and half > 0.0):
         return [f"{value:.5g}" for value in (*values, half)]
     decimals = -math.floor(math.log10(float(f"{half:.0e}")))
@@ -63,7 +64,7 @@ def rounded_in_thousands(half: float, *values: float) -> list[str]:
 
 
 def json_number(value: float) -> float | None:
-    """Return the value, None where it is not finite: JSON has no such numbers."""
+    """Return the value, None if it is not finite: JSON has no such numbers."""
     return value if math.isfinite(value) else None
 
 

@@ -75,7 +75,7 @@ class Page:
 
     @property
     def state(self) -> str:
-        """Return "error", "warning" or "good", by the gravest diagnostic."""
+        """Return "error", "warning" or "good", according to the most serious diagnostic."""
         if self.failed or any(one.is_error for one in self.diagnostics):
             return "error"
         return "warning" if self.diagnostics else "good"
@@ -134,6 +134,6 @@ def table_rows(table: Table) -> list[list[str]]:
 
 
 def _embedded(table: Mapping[str, Any]) -> str:
-    """Return JSON that cannot end the script element which it stands in."""
+    """Return JSON that cannot end the script element that contains it."""
     text = json.dumps(table, indent=1, allow_nan=False, default=str)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

@@ -52,7 +52,7 @@ def _verdict(found: Identification, estimate: Estimate) -> str:
 def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None, str, str]:
     """Return the value, half its interval, the interval and the unit of a parameter, rounded together.
 
-    Half the interval is None where it is not finite.
+    Half the interval is None if it is not finite.
     """
     factor, unit = people_unit(estimate.unit, milli=milli(found))
     low, high = (end * factor for end in estimate.ci95)

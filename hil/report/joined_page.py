@@ -34,11 +34,11 @@ class Entry:
 
     @property
     def trusted(self) -> bool:
-        """Whether both Kc and Bc may be trusted."""
+        """Return whether both Kc and Bc may be trusted."""
         return self.found is not None and all(map(self.found.trusted, PARAMETERS))
 
     def estimate(self, name: str) -> Estimate | None:
-        """Return a parameter, None where it was not identified."""
+        """Return a parameter, None if it was not identified."""
         estimates = () if self.found is None else self.found.estimates
         return next((one for one in estimates if one.name == name), None)
 

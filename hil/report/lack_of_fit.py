@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
-    """Return the object "lack_of_fit" of the JSON; sizes are relative to Kc and Bc. None where nothing was tested."""
+    """Return the object "lack_of_fit" of the JSON; sizes are relative to Kc and Bc. None if nothing was tested."""
     if found is None:
         return None
     return {

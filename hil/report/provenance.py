@@ -16,7 +16,7 @@ from hil.stand.file import parse
 
 
 def provenance(recordings: Sequence[Path], command: str) -> list[tuple[str, str]]:
-    """Return pairs of a name and a text. command: as it was typed, "" where there was none.
+    """Return pairs of a name and a text. command: as it was typed, "" if there was none.
 
     A recording that cannot be read any more is named with the reason.
     """

@@ -77,7 +77,7 @@ def _mean(mean: float, std: float) -> str:
 def write_convergence(done: Replication, path: Path) -> None:
     """Write Figure 8 as a PNG: the best fitness of every trial against the generation, above the exact optimum.
 
-    Raises WrongUse where the file cannot be written.
+    Raises WrongUse if the file cannot be written.
     """
     found = done.identification
     figure, panels = canvas(1, 2, (9, 4.5))

@@ -57,7 +57,7 @@ class Inspection:
 
     @property
     def usable(self) -> bool:
-        """Whether there is no error among the diagnostics."""
+        """Return whether there is no error among the diagnostics."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 

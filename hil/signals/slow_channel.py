@@ -128,7 +128,7 @@ def readings(time: Array, values: Array, kind: Kind) -> Readings:
 
 
 def stamped(time: Array, values: Array) -> Readings:
-    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN where it did not."""
+    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN if it did not."""
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
 

@@ -25,7 +25,7 @@ class TorqueCalibration(_Dated):
 
     scale: N m for one count or for a value of 1. uncertainty: of the scale, relative, one standard deviation.
     offset: what the cell showed without torque, in counts or as printed. hysteresis: N m between a load that was
-    approached from below and from above; None where no load was hung both ways. residual: N m, root mean square.
+    approached from below and from above; None if no load was hung both ways. residual: N m, root mean square.
     """
 
     scale: Positive

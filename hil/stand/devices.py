@@ -33,7 +33,7 @@ class HasMode(Protocol):
     """A table of a device that takes either torques or positions."""
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the table with the mode that commands `quantity`. Raises ValueError where there is none."""
+        """Return the table with the mode that commands `quantity`. Raises ValueError if there is none."""
 
 
 @runtime_checkable
@@ -161,7 +161,7 @@ def check_sensor(name: object) -> str:
 def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
     """Open the servo of backend `name` from its checked table, with its torque off.
 
-    quantity: of its set-points. Raises WrongUse where it does not accept them, DriverError where it cannot be opened.
+    quantity: of its set-points. Raises WrongUse if it does not accept them, DriverError if it cannot be opened.
     """
     if isinstance(table, HasMode):
         try:
@@ -187,7 +187,7 @@ def restrictions(table: Any, torque_source: str) -> list[str]:
 def found_by_search(name: str, table: Any) -> list[str]:
     """Return a sentence for each device of backend `name` that answers with other settings than the table's.
 
-    Raises DriverError where the link cannot be opened.
+    Raises DriverError if the link cannot be opened.
     """
     place = BACKENDS[name].search
     answers: list[str] = _named(place)(table) if place else []

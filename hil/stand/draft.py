@@ -75,7 +75,7 @@ class Draft:
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
 
     def error(self, question: Question, value: Any) -> str:
-        """Return why `value` is not valid, "" where it is."""
+        """Return why `value` is not valid, "" if it is."""
         table, wrong = in_si({question.name: value}, self._class_of(question.table))
         if wrong:
             return next(iter(wrong.values()))
@@ -96,7 +96,7 @@ class Draft:
         return text if self.error(question, value) and not self.error(question, text) else value
 
     def question(self, key: str) -> Question | None:
-        """Return the question of a key, `table.name`; None where there is no such key."""
+        """Return the question of a key, `table.name`; None if there is no such key."""
         return self._by_key().get(key)
 
     def keys(self) -> list[str]:

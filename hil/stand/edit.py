@@ -15,7 +15,7 @@ from hil.stand.file import LARGEST, parse
 def update(path: Path, changes: Mapping[str, Mapping[str, Any]]) -> None:
     """Set keys of tables in the stand file at `path`, whole or not at all.
 
-    changes: keys and values by table, such as {"calibration.zero": {"zero": 0.1}}. Raises WrongUse where the file
+    changes: keys and values by table, such as {"calibration.zero": {"zero": 0.1}}. Raises WrongUse if the file
     cannot be read or written, or would no longer be a stand file.
     """
     import tomlkit

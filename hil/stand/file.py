@@ -138,7 +138,7 @@ class Stand:
         return found
 
     def checked_limits(self) -> LimitsTable:
-        """The limits, without which nothing is driven. Raises WrongUse where the file has none."""
+        """The limits, without which nothing is driven. Raises WrongUse if the file has none."""
         if self.limits is None:
             raise WrongUse("the stand file sets no limits: add [limits] with torque, deflection and velocity")
         return self.limits

@@ -56,7 +56,7 @@ def open_servo(
 
 
 def require_watchdog(stand: Stand, info: ServoInfo) -> None:
-    """Raise WrongUse where the drive keeps its torque when this computer stops, unless the stand accepts that."""
+    """Raise WrongUse if the drive keeps its torque when this computer stops, unless the stand accepts that."""
     if info.watchdog > 0.0 or stand.stand.torque_stays_on_if_host_dies:
         return
     remedy = f"{info.watchdog_remedy}; or " if info.watchdog_remedy else ""
@@ -68,7 +68,7 @@ def require_watchdog(stand: Stand, info: ServoInfo) -> None:
 
 
 def _table_of(stand: Stand, name: str) -> Any:
-    """Return the backend's own table. Raises WrongUse where the file has none, with the keys that it must have."""
+    """Return the backend's own table. Raises WrongUse if the file has none, with the keys that it must have."""
     if name in stand.devices:
         return stand.devices[name]
     try:

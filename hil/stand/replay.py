@@ -86,7 +86,7 @@ class ReplayServo:
     def exchange(self, command: Command) -> Sample:
         """The next row; while disarmed the same one, again and again, without torque: nothing is driven.
 
-        Raises UnsafeCommand, NoReply where the row's reply was lost, LinkLost where the recording ends.
+        Raises UnsafeCommand, NoReply if the row's reply was lost, LinkLost if the recording ends.
         """
         self._gate.admit(command)
         sample = self._next

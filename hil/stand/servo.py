@@ -60,7 +60,7 @@ class StandServo:
     def exchange(self, command: Command) -> Sample:
         """One round trip with the servo, then the sensor's newest reading.
 
-        Raises as the servo does, LinkLost where the sensor is gone, NoReply where it has been silent for `SILENCE`.
+        Raises as the servo does, LinkLost if the sensor is gone, NoReply if it has been silent for `SILENCE`.
         """
         if command.quantity is Quantity.POSITION:
             command = replace(command, value=command.value + self._zero)

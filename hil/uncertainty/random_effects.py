@@ -29,7 +29,7 @@ class Pooled:
     """The common value of m measurements, in their unit, with its standard error and 95 % interval.
 
     within: the measurements' own standard error (root mean square). between: the standard deviation between them;
-    between_ci95: its 95 % interval, whose lower end is 0 where it is not significant. p_alike: the probability of
+    between_ci95: its 95 % interval, whose lower end is 0 if it is not significant. p_alike: the probability of
     values at least this far apart if the standard deviation between them were zero.
     """
 

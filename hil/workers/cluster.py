@@ -23,7 +23,7 @@ _LOOK = 1.0  # s between two looks at the workers
 def dask_executor(address: str, count: int) -> Iterator[Any]:
     """Yield the executor of the scheduler at `address`, or of one with `count` worker processes for "local".
 
-    Raises WrongUse where Dask is not installed, no scheduler answers, or it has no workers.
+    Raises WrongUse if Dask is not installed, no scheduler answers, or it has no workers.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -65,7 +65,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _check_versions(client: Any, address: str) -> None:
-    """Raise WrongUse where a worker has another version of hil, or none: its numbers might be others."""
+    """Raise WrongUse if a worker has another version of hil, or none: its numbers might be others."""
     own = installed()
     seen = client.run(installed, on_error="return").values()
     others = sorted({one if isinstance(one, str) else "none" for one in seen} - {own})
@@ -78,7 +78,7 @@ def _check_versions(client: Any, address: str) -> None:
 
 @contextmanager
 def _attended(client: Any, address: str) -> Iterator[None]:
-    """Raise WrongUse where no worker is left for long: the scheduler would keep the tasks for one for ever."""
+    """Raise WrongUse if no worker remains for long: the scheduler would keep the tasks waiting forever."""
     ended, alone = threading.Event(), threading.Event()
     thread = threading.Thread(target=_attend, args=(client, ended, alone), daemon=True)
     thread.start()
@@ -109,7 +109,7 @@ def _attend(client: Any, ended: threading.Event, alone: threading.Event) -> None
 
 @contextmanager
 def _said(address: str) -> Iterator[None]:
-    """Raise what goes wrong in the cluster as a sentence."""
+    """Convert errors of the cluster to a sentence."""
     from distributed import KilledWorker
 
     try:

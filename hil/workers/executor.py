@@ -14,7 +14,7 @@ class Executor(Protocol):
     """A part of `concurrent.futures.Executor`."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Return the result to come of a function that can be imported by its name elsewhere."""
+        """Return the future result of a function that another process can import by its name."""
         ...
 
 

@@ -79,7 +79,7 @@ class _Process:
         self._ended = False
 
     def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Return what the function returns there, or raise what it raises. Raises EOFError, OSError where it died."""
+        """Return what the function returns there, or raise what it raises. Raises EOFError, OSError if it died."""
         process = self._process or self._started()
         assert process.stdin is not None  # noqa: S101 - for mypy: both are pipes
         assert process.stdout is not None  # noqa: S101

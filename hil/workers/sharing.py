@@ -1,4 +1,4 @@
-"""Tasks shared between this process and others, which are started only where the work lasts."""
+"""Tasks shared between this process and others, which are started only if the work takes long."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def shared(
 
 
 def _taken(waiting: deque[int]) -> Iterator[int]:
-    """Yield the first of the numbers that nobody has taken yet, until there is none."""
+    """Yield the first number that nobody has taken yet, until there is none."""
     while waiting:
         try:
             yield waiting.popleft()

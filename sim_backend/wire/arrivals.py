@@ -27,7 +27,7 @@ class Arrivals(Generic[Part]):
             heapq.heappush(self._due, (at, self._count, part))
 
     def next(self) -> float:
-        """Return the time of the next arrival, s; infinite where nothing is under way."""
+        """Return the time of the next arrival, s; infinite if nothing is under way."""
         return self._due[0][0] if self._due else math.inf
 
     def until(self, now: float) -> Iterator[Part]:

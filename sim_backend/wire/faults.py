@@ -133,7 +133,7 @@ class WireFaults(Generic[Accepted]):
         return any(isinstance(fault, DropRequests) for fault in self._now(self.requests))
 
     def interrupts_reply(self, now: float) -> Interruption | None:
-        """Count a reply at `now` s; return what happens to the link or the drives instead, None where nothing does."""
+        """Count a reply at `now` s; return what happens to the link or the drives instead, None if nothing does."""
         self.replies += 1
         if self._plan.acting(("kill",), now - self._powered, self.replies):
             os.kill(os.getpid(), signal.SIGKILL)

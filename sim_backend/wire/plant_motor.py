@@ -105,7 +105,7 @@ class PlantMotor(Generic[Law]):
 
     @property
     def watchdog_broken(self) -> bool:
-        """Whether a fault keeps the drive's watchdog from acting."""
+        """Return whether a fault keeps the drive's watchdog from acting."""
         return self._faults.watchdog_broken(self.time)
 
     def follow_plan(self, plan: FaultPlan) -> frozenset[str]:

@@ -37,7 +37,7 @@ class TorqueLog:
 
     time_s is `time.monotonic()` of this machine, which other processes share. commanded_Nm: the torque demanded of the
     current loop, 0 while disabled; acting_Nm: the torque that the current makes; both at the motor's output shaft.
-    Raises FileExistsError where there is a file, OSError where none can be made.
+    Raises FileExistsError if there is a file, OSError if none can be made.
     """
 
     def __init__(self, path: Path) -> None:

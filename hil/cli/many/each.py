@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 def refuse_with_each(given: Mapping[str, Any]) -> None:
-    """Raise WrongUse for an option that belongs to one identification. given: by name, None where it was not given."""
+    """Raise WrongUse for an option that belongs to one identification. given: by name, None if it was not given."""
     for name, value in given.items():
         if value is not None:
             raise WrongUse(f"--{name} belongs to one identification: leave it out, or --each")
 
 
 def meets(found: IdentificationResult, required: tuple[str, ...]) -> bool:
-    """Return whether the parameters required may be trusted; a single one must be in the model, and this says so."""
+    """Return whether the required parameters may be trusted; if only one is required, the model must have it."""
     if len(required) == 1 and required[0] not in found.parameters:
         say(f"error: model {found.model} has no {required[0]}, which --require asks for")
         return False

@@ -1,4 +1,4 @@
-"""What the model leaves: residuals with the bounds of chance, and the dynamic stiffness, which needs no model."""
+"""What the model leaves unexplained: residuals with the bounds of chance, and the dynamic stiffness without a model."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _autocorrelation(values: Array) -> tuple[Array, Array]:
 
 
 def _bound(values: Array) -> float:
-    """Within which 95 % of the autocorrelation of white noise lies."""
+    """Return the bound that contains 95 % of the autocorrelation of white noise."""
     return 1.96 / math.sqrt(len(values))
 
 

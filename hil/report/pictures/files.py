@@ -34,6 +34,6 @@ def check_picture_name(path: Path) -> Path:
 
 
 def save_picture(figure: Figure, path: Path, *, force: bool) -> None:
-    """Write a figure as a PNG. force: in place of one that is there. Raises WrongUse where it cannot be written."""
+    """Write a figure as a PNG. force: in place of one that is there. Raises WrongUse if it cannot be written."""
     with atomic_write(path, force=force) as temporary:
         figure.savefig(temporary, format="png", dpi=110)

@@ -90,8 +90,8 @@ class Landscape:
 def landscape(found: Identification, spans: tuple[Span, Span]) -> Landscape:
     """Return the landscape between these values of Kc and of Bc, SI.
 
-    A row whose residual has one sign everywhere in it adds a plane; the others are added up, some of them for all
-    where they are many.
+    A row of Bc whose residuals all have one sign adds a plane; the other rows are summed one by one, or a sample of
+    them if there are many.
     """
     columns, target = linear_problem(found)
     values = found.values[: columns.shape[1]]
@@ -191,7 +191,7 @@ def _near(estimate: Estimate) -> Span:
 
 
 def _far(near: Span, middle: float, genes: Array) -> Span:
-    """A range around `middle` that holds the genes and the near one."""
+    """Return a range around `middle` that contains the genes and the near range."""
     reach = 1.08 * float(np.abs(genes - middle).max(initial=0.0))
     half = max(reach, near[1] - middle, middle - near[0], _WIDE * abs(middle))
     return middle - half, middle + half

@@ -57,7 +57,7 @@ class Traces:
         return f"{float(np.nanmean(np.abs(self.residuals))):.3g} {self.unit}"
 
     def thinned(self, number: int = _SHOWN) -> Traces:
-        """The highest and the lowest residual of each of `number` stretches, so that a page is light to load."""
+        """Return the highest and the lowest residual of each of `number` intervals, so that a page loads quickly."""
         count = len(self.time)
         if count <= 2 * number:
             return self
@@ -135,5 +135,5 @@ def linear_problem(found: Identification) -> tuple[Array, Array]:
 
 
 def _broken(values: Array, starts: tuple[int, ...]) -> Array:
-    """The values with a NaN before each stretch but the first, where a line is interrupted."""
+    """Return the values with a NaN before each piece but the first, where a line is interrupted."""
     return np.insert(values, starts[1:], np.nan)

@@ -215,7 +215,7 @@ def _chebyshev_derivative(x: Array, order: int) -> Array:
 def _solved(sums: Array, right: Array) -> Array:
     """Return the coefficients (p, b) of all fits, from the sums of the basis (2p-1, b) and of the values (p, b).
 
-    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed. NaN where they are
+    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed. NaN if they are
     singular.
     """
     p, found = len(right), right.copy()

@@ -126,7 +126,7 @@ class CanFamily:
 
         interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with
         its channel. timing: None answers at once. log: of the torque of each. faults: that happen. Raises ValueError
-        for a model that is not `known` or an id that cannot be, FileExistsError where `channel` is a file, can.CanError
+        for a model that is not `known` or an id that cannot be, FileExistsError if `channel` is a file, can.CanError
         where the interface cannot be opened.
         """
         model = model or self.default

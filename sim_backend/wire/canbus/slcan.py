@@ -35,7 +35,7 @@ class SlcanAdapter:
 
     @property
     def unplugged(self) -> bool:
-        """Whether it has been pulled out."""
+        """Return whether it has been pulled out."""
         return self._bus.unplugged
 
     def due(self) -> float:
@@ -103,7 +103,7 @@ def slcan_line(link: Path, bus: CanBus, *, bitrate: int | None = None) -> PtyLin
 
 
 def _parsed(line: bytes) -> CanFrame | None:
-    """The frame of a transmit command; None where it is none."""
+    """The frame of a transmit command; None if it is none."""
     letter = line[:1].decode("ascii")
     extended, remote, fd = letter in "TRDB", letter in "rR", letter in "dDbB"
     digits = 8 if extended else 3

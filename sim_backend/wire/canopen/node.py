@@ -107,7 +107,7 @@ class CanopenNode:
 
     @property
     def watches(self) -> bool:
-        """Whether it waits for another node's next heartbeat."""
+        """Return whether it waits for another node's next heartbeat."""
         return math.isfinite(self._lapse())
 
     def _lapse(self) -> float:

@@ -33,7 +33,7 @@ class SdoServer:
         }
 
     def answer(self, request: bytes) -> bytes | None:
-        """The reply; None where there is none."""
+        """The reply; None if there is none."""
         if len(request) != 8:
             return None
         command = request[0] >> 5

@@ -42,7 +42,7 @@ _VOLTAGE = 0
 
 
 def number(text: str) -> float:
-    """Return the number at the beginning of `text` as `atof` does, 0 where there is none; a 32 bit float."""
+    """Return the number at the beginning of `text` as `atof` does, 0 if there is none; a 32 bit float."""
     found = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     with np.errstate(over="ignore"):
         return float(np.float32(found[0])) if found else 0.0
@@ -337,7 +337,7 @@ class CommanderDevice:
         )
 
     def _kept_number(self, said: str | None, name: str, value: float | None) -> None:
-        """Keep a number that has no effect, and print it; `said`: what comes before it, None where there is none."""
+        """Keep a number that has no effect, and print it; `said`: what comes before it, None if there is none."""
         if said is None:
             self.printer.error()
             return

@@ -156,7 +156,7 @@ class CommanderBoard:
 
     @property
     def _streams(self) -> bool:
-        """Whether `motor.monitor()` prints lines."""
+        """Return whether `motor.monitor()` prints lines."""
         return self.device.downsample > 0 and "1" in self.device.watched
 
     @property
@@ -218,7 +218,7 @@ def serve(
     model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
     behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
     silence. timing: None answers at once. log: of its torque. faults: that happen. Raises ValueError for a model, a
-    firmware or a baud rate that cannot be, FileExistsError where `link` is a file.
+    firmware or a baud rate that cannot be, FileExistsError if `link` is a file.
     """
     if model not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")

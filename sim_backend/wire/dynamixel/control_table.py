@@ -61,7 +61,7 @@ class ControlTable:
         self.registers.put("backup_ready", 1)
 
     def restore(self) -> bool:
-        """Set the EEPROM to the copy; return False where there is none."""
+        """Set the EEPROM to the copy; return False if there is none."""
         self._copy_back(lambda address: address < EEPROM_END)
         return bool(self._backup)
 

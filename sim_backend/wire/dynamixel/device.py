@@ -90,7 +90,7 @@ class DynamixelDevice:
 
     @property
     def tripped(self) -> bool:
-        """Whether the bus watchdog has stopped it."""
+        """Return whether the bus watchdog has stopped it."""
         return self.registers.get("bus_watchdog") == -1
 
     @property
@@ -102,7 +102,7 @@ class DynamixelDevice:
 
     @property
     def torque_on(self) -> bool:
-        """Whether current can flow."""
+        """Return whether current can flow."""
         return self.motor.enabled
 
     def advance(self, now: float) -> None:
@@ -132,7 +132,7 @@ class DynamixelDevice:
         self.ready = now + BOOT
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
+        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
         if frame.instruction == Instruction.PING and frame.sound:
             identity = self.registers.get("model_number").to_bytes(2, "little")
             return self.alerted(Error.NONE), identity + bytes([self._firmware])

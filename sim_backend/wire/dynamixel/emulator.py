@@ -38,7 +38,7 @@ def serve(
     `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one until `line.stop()`.
     parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's joint on
     the horn. timing: None answers at once. log: of the torque of each. faults: that happen. Raises ValueError for a
-    model, an id or a baud rate that cannot be, FileExistsError where `link` is a file.
+    model, an id or a baud rate that cannot be, FileExistsError if `link` is a file.
     """
     mx = model in MX_MODELS
     make: type[PacketServo] = MxDevice if mx else DynamixelDevice

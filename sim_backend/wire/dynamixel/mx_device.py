@@ -76,7 +76,7 @@ class MxDevice:
 
     @property
     def torque_on(self) -> bool:
-        """Whether current can flow."""
+        """Return whether current can flow."""
         return self.motor.enabled
 
     def advance(self, now: float) -> None:
@@ -110,7 +110,7 @@ class MxDevice:
         return error | self.errors
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
+        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
         if frame.instruction == Instruction.PING and frame.sound:
             return self.alerted(0), b""
         if frame.instruction == Instruction.READ and frame.sound:

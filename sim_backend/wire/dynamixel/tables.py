@@ -14,7 +14,7 @@ from sim_backend.wire.packets.regulator import CURRENT, CURRENT_POSITION, EXTEND
 class DynamixelModel:
     """A servo as its page describes it.
 
-    current_lsb: A a count, 0 where it measures none. stall: V, A, N m at stall.
+    current_lsb: A a count, 0 if it measures none. stall: V, A, N m at stall.
     indirect: ranges of (first address item, first data item, slots).
     """
 

@@ -139,7 +139,7 @@ class FeetechDevice:
         return self.errors
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None where it does not reply."""
+        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
         if not frame.sound:
             return None
         if frame.instruction == Instruction.PING:

@@ -40,7 +40,7 @@ def serve(
     model: "sts3215+loadcell" for a torque cell at the first one's joint on a second pty, named as `link` with ".cell"
     behind it. parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's
     joint at the output. timing: None answers at once. log: of the torque of each. faults: that happen. Raises
-    ValueError for a model, an id or a baud rate that cannot be, FileExistsError where `link` is a file.
+    ValueError for a model, an id or a baud rate that cannot be, FileExistsError if `link` is a file.
     """
     name = model.removesuffix(CELL)
     if name not in MODELS:

@@ -51,7 +51,7 @@ class Console:
         return out
 
     def requests(self) -> list[tuple[str, float]]:
-        """Return the `d` commands since this was last called, with their number, 0 where there is none."""
+        """Return the `d` commands since this was last called, with their number, 0 if there is none."""
         requests, self._requests = self._requests, []
         return requests
 

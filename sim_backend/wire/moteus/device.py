@@ -202,7 +202,7 @@ class MoteusDevice:
         return out + (reply(subframe.kind, start, run) if run else b"")
 
     def _value(self, number: int, now: float) -> float | None:
-        """A register; None where there is none."""
+        """A register; None if there is none."""
         live = {
             0x000: float(self.mode),
             0x001: self.turns,

@@ -134,11 +134,11 @@ class OdriveDevice:
 
     @property
     def _nameless(self) -> bool:
-        """Whether it waits for a node id."""
+        """Return whether it waits for a node id."""
         return self.layout == "0.6" and self.ident == BROADCAST
 
     def _period(self, kind: str) -> float:
-        """s between two cyclic messages of a kind; infinite where they are switched off."""
+        """s between two cyclic messages of a kind; infinite if they are switched off."""
         milliseconds = self.endpoints.get(f"axis0.config.can.{kind}_msg_rate_ms")
         return milliseconds * 1e-3 if milliseconds else math.inf
 

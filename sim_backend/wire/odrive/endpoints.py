@@ -42,7 +42,7 @@ class Endpoints:
         self._values[name] = value
 
     def sdo(self, data: bytes, *, confirms: bool) -> bytes | None:
-        """Return the reply to a request, None where there is none. confirms: a write is replied to."""
+        """Return the reply to a request, None if there is none. confirms: a write is replied to."""
         if len(data) < 4:
             return None
         writes, number, _ = struct.unpack_from("<BHB", data)
@@ -53,7 +53,7 @@ class Endpoints:
         return None if value is None else struct.pack("<BHB", 0, number, 0) + value
 
     def read(self, number: int) -> bytes | None:
-        """The four bytes of an answer to a read; None where there is no such endpoint."""
+        """The four bytes of an answer to a read; None if there is no such endpoint."""
         row = self._row(number)
         if row is None:
             return None

@@ -80,7 +80,7 @@ class PacketServo(Watched, Protocol):
         """Return the error byte, with the hardware errors that hold."""
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`; return error and parameters, None where it does not reply."""
+        """Execute `frame`; return error and parameters, None if it does not reply."""
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
         """Return the error and the bytes of a read."""

@@ -57,7 +57,7 @@ class Registers:
                 self.store(item, item.initial)
 
     def has(self, name: str) -> bool:
-        """Whether this model has the item."""
+        """Return whether this model has the item."""
         return name in self._named
 
     def get(self, name: str) -> int:

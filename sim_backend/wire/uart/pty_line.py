@@ -44,7 +44,7 @@ class SerialPeer(Protocol):
 
     @property
     def unplugged(self) -> bool:
-        """Whether the cable has been pulled out."""
+        """Return whether the cable has been pulled out."""
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
         """Return what it sends, and when: unasked up to `now`, and in reply to `data`, sent at `now`."""
@@ -53,14 +53,14 @@ class SerialPeer(Protocol):
         """Carry it to `now`."""
 
     def due(self) -> float:
-        """Return when it next sends something unasked; infinite where it does not."""
+        """Return when it next sends something unasked; infinite if it does not."""
 
 
 class PtyLine:
     """Serves `peer` at `link`, a symlink to the pty, in a thread, as long as the `with` lasts.
 
     any_baudrate: the peer understands whatever speed the client set. lock: held while the peer is at work; whoever
-    looks at the peer takes it. Raises FileExistsError where `link` is something other than a symlink.
+    looks at the peer takes it. Raises FileExistsError if `link` is something other than a symlink.
     """
 
     def __init__(self, link: Path, peer: SerialPeer, *, any_baudrate: bool = False) -> None:
@@ -214,7 +214,7 @@ class PtyLine:
 
 
 def _speed(descriptor: int) -> int:
-    """Return the speed that the client set, bit/s; 0 where it is not known."""
+    """Return the speed that the client set, bit/s; 0 if it is not known."""
     with contextlib.suppress(OSError):
         return int(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
     return _SPEEDS.get(termios.tcgetattr(descriptor)[5], 0)
