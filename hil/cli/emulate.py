@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import select
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +15,8 @@ from hil.cli.terminal import out, say
 from hil.errors import WrongUse, proposing
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sim_backend.wire.torque_log import TorqueLog
 
 
@@ -32,13 +37,23 @@ def emulate(
     instant: Annotated[
         bool, typer.Option("--instant", help="Answer at once: no time for the bytes on the wire.")
     ] = False,
+    background: Annotated[
+        bool,
+        typer.Option(
+            "--background", help="Return as soon as the drive answers; print the id of the process that emulates it."
+        ),
+    ] = False,
 ) -> None:
     """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand).
+
+    With --background it answers until it is killed by the id that is printed, or until the terminal is closed.
 
     Example: hil emulate dynamixel --link ./ttyDXL --log torque.csv
     """
     from sim_backend.wire.catalogue import EMULATORS, ended_by_signal, make, waking_in_time
 
+    if background and not hasattr(os, "fork"):
+        raise WrongUse("this system has no --background: start the emulator in another terminal")
     if name is None:
         for known, emulator in EMULATORS.items():
             out(f"{known:10} {emulator.noun} {emulator.where}")
@@ -63,10 +78,41 @@ def emulate(
         if log is not None:
             log.unlink()  # nothing was emulated
         raise WrongUse(proposing(str(error))) from None
+    what = f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}."
+    if background and (process := _copied(served.stop)) is not None:
+        say(f"{what} It ends with this terminal, or with: kill {process}")
+        out(str(process))
+        os._exit(0)  # all that is open belongs to the copy now
     with ended_by_signal(served), waking_in_time():
-        say(f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}. Ctrl-C to stop.")
+        say(f"{what} Ctrl-C to stop.")
         served.serve()
     say("ended")
+
+
+def _copied(stop: Callable[[], None]) -> int | None:
+    """Copy this process; return the copy's id, None in the copy. It leaves the terminal and calls `stop` at its end."""
+    session, own = os.getsid(0), os.getpid()
+    if copy := os.fork():
+        return copy
+    os.setsid()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in range(3):
+        os.dup2(nothing, number)
+    if session != own and hasattr(os, "pidfd_open"):  # macOS cannot wait for the end of a process like this
+        threading.Thread(target=_wait_for_the_end, args=(session, stop), daemon=True).start()
+    return None
+
+
+def _wait_for_the_end(process: int, stop: Callable[[], None]) -> None:
+    try:
+        ended = os.pidfd_open(process)
+    except ProcessLookupError:
+        stop()
+    except OSError:  # it belongs to others, or the kernel is too old
+        return
+    else:
+        select.select([ended], [], [])
+        stop()
 
 
 def _torque_log(path: Path) -> TorqueLog:

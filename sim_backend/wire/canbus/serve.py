@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from sim_backend.wire.torque_log import TorqueLog
     from sim_backend.wire.uart.pty_line import PtyLine
 
-_IDLE = 0.02
-"""s between two looks at whether it is to stop."""
+_STEP, _LONGEST_STEP = 0.02, 0.25
+"""s by which the bus is advanced while no client sends: at first, and after some time of silence."""
 
 
 class CanServer:
@@ -72,9 +72,11 @@ class CanServer:
             self._wire.shutdown()
 
     def _run(self) -> None:
+        step = _STEP
         while not self._stopping.is_set() and not self._bus.unplugged:
             next_ = min(self._arrivals.next(), self._bus.due())
-            message = self._wire.recv(max(0.0, min(_IDLE, next_ - self.now())))
+            message = self._wire.recv(max(0.0, min(step, next_ - self.now())))
+            step = _STEP if message is not None else min(2.0 * step, _LONGEST_STEP)
             with self.lock:
                 if message is not None and not message.is_error_frame:
                     self._arrivals.add(self._bus.receive(from_message(message), self.now()))

@@ -56,8 +56,9 @@ class SlcanAdapter:
             out.append((now, BELL))
         return out
 
-    def advance(self, _now: float) -> None:
-        """Do nothing: the bus advances in `receive`, which hands on what is sent meanwhile."""
+    def advance(self, now: float) -> None:
+        """Carry the bus to `now`; what its drives send unasked is lost."""
+        self._bus.advance(now)
 
     def _command(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
         letter = line[:1]

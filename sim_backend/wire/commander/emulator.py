@@ -26,6 +26,8 @@ WATCHDOG = 0.1
 _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 _SEND_BUFFER = 64
 """Bytes that the board's serial port holds for sending."""
+_UNREAD = 1.0
+"""s after which lines that nobody has read are lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +147,7 @@ class CommanderBoard:
     def _monitored(self, now: float) -> list[tuple[float, bytes]]:
         """Return the lines that the program printed by itself since then; it waits where its buffer is full."""
         out: list[tuple[float, bytes]] = []
+        self._streamed = max(self._streamed, now - _UNREAD)
         while self._streams and self.due() <= now:
             self._streamed = self.due()
             if self._awake <= self.made:

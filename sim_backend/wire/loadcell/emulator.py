@@ -34,6 +34,7 @@ SETTLING = 4
 SCALE = 1e-7
 """N m a count, unless the stand file has another."""
 _BOOT = 1.0  # s; the board's own start, before the converter settles
+_UNREAD = 1.0  # s after which lines that nobody has read are lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +83,7 @@ class EmulatedLoadCell:
         """Each printed line is a reply."""
 
     def advance(self, now: float) -> None:
-        """Do nothing: it advances in `receive`, which hands on the lines printed meanwhile."""
+        """Do nothing: `receive` returns the lines of the last second, and older ones are lost."""
 
     def due(self) -> float:
         """Return when it prints its next line, s."""
@@ -91,6 +92,7 @@ class EmulatedLoadCell:
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:  # noqa: ARG002 - it does not listen
         """The lines it has printed by `now`, and when each has arrived; `baudrate` bit/s is what the host set."""
         out: list[tuple[float, bytes]] = []
+        self._next += max(0, math.floor((now - _UNREAD - self._next) * self.board.rate)) / self.board.rate
         while self._next <= now and not self.unplugged:
             taken = self._next
             self._next += 1.0 / self.board.rate

@@ -119,6 +119,8 @@ class PacketBus:
 
         baudrate: bit/s of the host's line; None where every servo understands it.
         """
+        if not data:
+            self.advance(now)
         out: list[Reply] = []
         begin = max(now, self._free)
         end = begin + self._duration(len(data), baudrate)

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
 from sim_backend.wire.arrivals import Arrivals
+from sim_backend.wire.uart.openings import Openings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,10 +32,10 @@ _TERMIOS2 = struct.Struct("=4I20s2I")
 """Linux: flags, characters, input and output speed in bit/s. It knows every speed, `tcgetattr` only those of the
 table above.
 """
-_IDLE = 0.05
-"""s between two looks at the emulator while nothing is sent."""
-_ABSENT = 1e-3
-"""s between two looks for a client while there is none; nothing wakes the emulator up when one opens the port."""
+_STEP, _LONGEST_STEP = 0.05, 0.25
+"""s by which the emulator is advanced while nothing is sent: at first, and after some time of silence."""
+_LOOK = 2e-3
+"""s between two looks for a client where nothing wakes the emulator up when one opens the port (macOS)."""
 _SPIN = 1.5e-4
 """s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
 
@@ -47,10 +48,10 @@ class SerialPeer(Protocol):
         """Return whether the cable has been pulled out."""
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
-        """Return what it sends, and when: unasked up to `now`, and in reply to `data`, sent at `now`."""
+        """Carry it to `now`; return what it sends, and when: unasked up to then, and in reply to `data`, sent then."""
 
     def advance(self, now: float) -> None:
-        """Carry it to `now`."""
+        """Carry it to `now`; what it sends unasked meanwhile may be lost, since nobody has the port open."""
 
     def due(self) -> float:
         """Return when it next sends something unasked; infinite if it does not."""
@@ -74,6 +75,8 @@ class PtyLine:
         """Whether a client has the port open."""
         self._left_locked = False
         """Whether the port was found locked; by nobody, if the next look finds no client either."""
+        self._unsure = True
+        """Whether a client may have come of which no event will tell."""
         self._open()
         self._wake, self._waker = os.pipe()
         self._arrivals = Arrivals[bytes]()
@@ -99,22 +102,31 @@ class PtyLine:
 
     def run(self) -> None:
         """Serve until `stop` is called or the peer is unplugged."""
-        advanced = self.now()
+        step, advanced = _STEP, self.now()
         while not self._peer.unplugged:
-            next_ = min(self._arrivals.next() - _SPIN, self._peer.due())
-            wait = max(0.0, min(_IDLE if self._present else _ABSENT, next_ - self.now()))
-            ready, _, _ = select.select([self._wake, *([self._master] if self._present else [])], [], [], wait)
-            if self._wake in ready:
+            if self._wait(advanced + step):
                 return
             data = self._read()
-            idle = not self._arrivals and self.now() >= advanced + _IDLE
+            idle = self.now() >= advanced + step
             if idle:
                 advanced = self.now()
-                self._pause()
-            if data or idle or self._peer.due() <= self.now():
+            if idle and not self._present:
+                self._pass(advanced)
+            step = _STEP if data else min(2.0 * step, _LONGEST_STEP) if idle else step
+            if data or (self._present and (idle or self._peer.due() <= self.now())):
                 self._take(data)
             self._send()
         self._drop()
+
+    def _wait(self, until: float) -> bool:
+        """Wait for a client, its bytes, or something to send, but no longer than `until`, s; return whether to stop."""
+        if self._present:
+            until = min(until, self._arrivals.next() - _SPIN, self._peer.due())
+        elif self._unsure or not self._openings.files:
+            until = min(until, self.now() + _LOOK)
+        files = [self._wake, *([self._master] if self._present else self._openings.files)]
+        ready, _, _ = select.select(files, [], [], max(0.0, until - self.now()))
+        return self._wake in ready
 
     def serve(self) -> None:
         """Serve in this thread until `stop` is called from another or from a signal, then clean up."""
@@ -125,6 +137,7 @@ class PtyLine:
 
     def _read(self) -> bytes:
         """Return what a client has sent. Without a client the read fails, or ends on macOS."""
+        touched, self._unsure = not self._present and self._openings.seen(), False
         try:
             data = os.read(self._master, 4096)
         except BlockingIOError:
@@ -137,16 +150,15 @@ class PtyLine:
             self._left_locked = False
         elif self._left_locked:
             self._unlock()
-        elif was:
+        elif was or touched:
             self._end_session()
         return data
 
-    def _pause(self) -> None:
-        """Carry the peer to now while nothing is on the line."""
+    def _pass(self, now: float) -> None:
+        """Let the time pass to `now` in which nobody has had the port open."""
         with self.lock:
-            self._peer.advance(self.now())
-        if not self._present:
-            self._end_session()  # one so short that it was not seen may have locked the port
+            self._peer.advance(now)
+        self._end_session()  # one so short that it was not seen may have locked the port
 
     def _take(self, data: bytes) -> None:
         speed = None if self._any_baudrate else _speed(self._master)
@@ -161,11 +173,12 @@ class PtyLine:
         try:
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
         except OSError:  # the lock keeps out whoever is not root
-            self._left_locked = True
+            self._left_locked = self._unsure = True
             return
         termios.tcflush(slave, termios.TCIFLUSH)
         self._left_locked = _locked(slave)
         os.close(slave)
+        self._forget_own()
 
     def _unlock(self) -> None:
         """End the exclusive lock that a client left, as the last close of a serial port does."""
@@ -174,10 +187,18 @@ class PtyLine:
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
         except OSError:  # the lock keeps out whoever is not root
             os.close(self._master)
+            self._openings.close()
             self._open()
+            self._unsure = True
             return
         fcntl.ioctl(slave, termios.TIOCNXCL)
         os.close(slave)
+        self._forget_own()
+
+    def _forget_own(self) -> None:
+        """Drop the events of what this program opened; a client may have come at the same time, so look once more."""
+        self._openings.seen()
+        self._unsure = True
 
     def _send(self) -> None:
         for reply in self._arrivals.until(self.now()):
@@ -195,6 +216,7 @@ class PtyLine:
         self._name = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
+        self._openings = Openings(self._name)
         fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
         fresh.symlink_to(self._name)
         fresh.replace(self.link)
@@ -207,10 +229,12 @@ class PtyLine:
 
     def _close(self) -> None:
         self._drop()
+        self._openings.close()
         os.close(self._wake)
         os.close(self._waker)
-        if self.link.is_symlink():
-            self.link.unlink()
+        with contextlib.suppress(OSError):  # it is gone, or leads to another emulator by now
+            if self.link.readlink() == Path(self._name):
+                self.link.unlink()
 
 
 def _speed(descriptor: int) -> int:

@@ -42,7 +42,7 @@ class Recorder:
         return [(now, part) for part in said]
 
     def advance(self, now: float) -> None:
-        """Nothing moves."""
+        self.to_say = []
 
     def due(self) -> float:
         return 0.0 if self.to_say else float("inf")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import re
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -247,3 +249,42 @@ def test_a_run_in_real_time_ends_with_the_lateness_of_its_set_points(
     assert re.fullmatch(r"set-points late by .*s \(median\), .*s \(99 %\), .*s at most; \d+ ticks missed", said)
     assert run([*words, str(tmp_path / "b.h5"), "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["lateness"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+
+IN_THE_BACKGROUND = """
+emulator=$("$0" -c 'from hil.cli.app import main; main()' emulate commander --link ./tty --background)
+test -c ./tty && echo "$emulator"
+"""
+
+
+def in_a_session_of_its_own(script: str, folder: Path) -> str:
+    words = ["bash", "-c", script, sys.executable]
+    return subprocess.run(
+        words, cwd=folder, start_new_session=True, capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+def gone(process: int) -> bool:
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end:
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def test_an_emulator_in_the_background_has_its_port_when_the_command_returns_and_ends_with_its_session(
+    tmp_path: Path,
+) -> None:
+    process = int(in_a_session_of_its_own(IN_THE_BACKGROUND, tmp_path))
+    assert gone(process)
+    assert not (tmp_path / "tty").is_symlink()
+
+
+def test_an_emulator_in_the_background_ends_by_its_id_and_leaves_the_link_of_the_next_one(tmp_path: Path) -> None:
+    script = f"{IN_THE_BACKGROUND}first=$emulator{IN_THE_BACKGROUND}kill $first\nwhile kill -0 $first; do :; done\n"
+    first, second = in_a_session_of_its_own(f"{script}test -c ./tty && kill $emulator", tmp_path).split()
+    assert gone(int(first))
+    assert gone(int(second))
