@@ -1,7 +1,7 @@
-"""One search whose fitness somebody else computes: for models that are not linear in their parameters.
+"""A search whose fitness is computed by the caller, for models that are not linear in their parameters.
 
-The operators are those of the `default` preset. The search asks for chromosomes to be evaluated and takes in what came
-of it:
+The operators are those of the `default` preset. The search asks for chromosomes to be evaluated and then takes their
+fitness:
 
     search = Search(bounds, seed=0)
     while not search.done:
@@ -30,11 +30,11 @@ _HOPELESS: Final = 1e300
 
 
 class Search:
-    """A search of bounds (p,), to be minimised.
+    """A search within bounds (p,), for the smallest fitness.
 
-    settings: of the generational scheme. floor: the least fitness that the stop rule's tolerance is relative to; give
-    what counts as zero where the best fitness is zero, or the search runs through all its generations.
-    Raises ValueError for another scheme, a population that is too small, or a negative seed.
+    settings: of the generational scheme. floor: the smallest fitness that the stop rule's tolerance is relative to; set
+    it to what counts as zero if the best fitness is zero, or the search runs through all its generations. Raises
+    ValueError for another scheme, a population that is too small, or a negative seed.
     """
 
     def __init__(
@@ -50,7 +50,9 @@ class Search:
         self._asked: NDArray[np.float64] | None = None
 
     def ask(self) -> NDArray[np.float64]:
-        """The chromosomes (k, p) to evaluate next: the first population, later 5 p children. The same until `tell`."""
+        """Return the chromosomes (k, p) to evaluate next: the first population, later 5 p children; unchanged until
+        `tell`.
+        """
         if self._asked is None:
             population, p = self._population, self._rules.low.size
             if not population.evaluations:
@@ -64,10 +66,10 @@ class Search:
         return self._asked.copy()
 
     def tell(self, genes: NDArray[np.float64], fitness: ArrayLike) -> None:
-        """Take in the fitness (k,) of the chromosomes (k, p) that were asked for, in their order.
+        """Take the fitness (k,) of the chromosomes (k, p) that `ask` returned, in their order.
 
-        What is infinite or not a number counts as the worst. Raises ValueError where they are not those asked for, or
-        the fitness is not one number each.
+        A fitness that is infinite or not a number counts as the worst. Raises ValueError for other chromosomes, or if
+        there is not one number for each.
         """
         if self._asked is None or not np.array_equal(genes, self._asked):
             raise ValueError("these are not the chromosomes that were asked for: tell what the last ask() gave")

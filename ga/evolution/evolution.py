@@ -120,7 +120,9 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
 
 
 def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
-    """Bounds and settings as the compiled loops read them. floor: N m, what fitnesses are compared relative to."""
+    """Return bounds and settings as the compiled loops read them. floor: the smallest fitness, N m, that relative
+    comparisons divide by.
+    """
     rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
     if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:
         rejects = rejects or settings.tolerance is None  # the stop rule asks how bad the worst is
@@ -140,7 +142,7 @@ def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> 
 
 
 def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
-    """Room for a population of p genes, with its generator. Raises ValueError where it would be too small."""
+    """Return room for a population of p genes, with its generator. Raises ValueError if it would be too small."""
     size = settings.population_for(p)
     return Population(
         genes=np.empty((size, p)),
@@ -156,9 +158,10 @@ def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
 def begin(
     engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int, *, start: Start | None = None
 ) -> Population:
-    """The first population, evaluated: uniform at random in the start's cube, or where there is none in the bounds.
+    """Return the first population, evaluated: uniform at random in the start's cube, or in the bounds if there is no
+    start.
 
-    Raises ValueError where the bounds are not of as many parameters as the engine has columns.
+    Raises ValueError if the bounds are not for as many parameters as the engine has columns.
     """
     p = columns_of(engine)
     if bounds.low.size != p:
@@ -186,9 +189,10 @@ def advance(
     record: Record | None = None,
     reject: bool = True,
 ) -> None:
-    """Take the search to generation `until`, or to where its stop rule ends it, and keep the record on the way.
+    """Continue the search to generation `until`, or until its stop rule ends it, and fill the record on the way.
 
-    reject: whether children that are known to be hopeless go unevaluated; the population is the same to the last bit.
+    reject: whether children that are known to be too bad to survive are not evaluated; the population is the same to
+    the last bit.
     """
     generations = until - population.generation
     if generations <= 0 or population.stopped:

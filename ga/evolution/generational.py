@@ -1,6 +1,6 @@
-"""The generational scheme of the `default` preset: families one after another.
+"""The generational scheme of the `default` preset: in each generation one family of parents and children.
 
-A child worse than all parents does not live on, so how bad it is need not be known.
+A child worse than all parents does not survive, so its exact fitness need not be known.
 """
 
 from __future__ import annotations

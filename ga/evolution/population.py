@@ -55,8 +55,8 @@ class Population(NamedTuple):
 class Rules(NamedTuple):
     """Bounds and settings as numbers.
 
-    rejects: whether a child that is known to be hopeless may go unevaluated. floor: N m, what relative comparisons of
-    fitness divide by at least. tolerance: -1 for none.
+    rejects: whether a child that is known to be too bad to survive may stay unevaluated. floor: the smallest fitness, N
+    m, that relative comparisons divide by. tolerance: -1 for none.
     """
 
     low: Genes
@@ -73,9 +73,9 @@ class Rules(NamedTuple):
 
 
 class Record(NamedTuple):
-    """The best fitness so far, fitness (m,), N m, of generations (m + 1,), which rise; the last is never reached.
+    """The best fitness so far, fitness (m,), N m, at generations (m + 1,), which rise; the last is never reached.
 
-    What was not reached yet is NaN.
+    NaN for generations not reached yet.
     """
 
     generation: NDArray[np.int64]
@@ -89,7 +89,7 @@ def unrecorded() -> Record:
 
 @compiled_within
 def due_after(record: Record, population: Population) -> int:
-    """The first entry of the record that is of a generation yet to come."""
+    """Return the index of the record's first entry for a future generation."""
     due = 0
     while due < record.fitness.size and record.generation[due] <= population.progress[0]:
         due += 1
@@ -98,7 +98,7 @@ def due_after(record: Record, population: Population) -> int:
 
 @compiled_within
 def recorded(record: Record, due: int, population: Population) -> int:
-    """Record the best fitness if this generation is due; the next entry that is."""
+    """Record the best fitness if this generation is due; return the index of the next due entry."""
     if population.progress[0] == record.generation[due]:
         record.fitness[due] = population.best_fitness[0]
         due += 1
@@ -139,7 +139,7 @@ def scatter_around(rules: Rules, start: Start, population: Population) -> None:
 
 @compiled_within
 def remember(population: Population, child: Genes, error: float) -> None:
-    """Keep the best chromosome ever: some readings of the paper let the population lose it."""
+    """Store the best chromosome of the whole search: in some readings of the paper the population can lose it."""
     if error < population.best_fitness[0]:
         population.best_fitness[0] = error
         copy(child, population.best)

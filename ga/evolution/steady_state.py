@@ -1,13 +1,14 @@
 """The paper's steady-state scheme, Algorithm 1: one child a generation.
 
-A child that is known to be hopeless is not evaluated. After the first thousand generations that is nearly every mutant:
-a gene redrawn uniformly in wide bounds. The fitness f is convex, so f(x) >= f(a) + slope(a) . (x - a) for any a, a
-tangent; each mutant that was evaluated in vain leaves one behind, for the gene that was redrawn and the side it fell
-on, and the next mutants beyond it cost a few multiplications. Hopeless means that the search goes on in the same bits:
+A child that is known to be too bad to survive is not evaluated. After the first thousand generations that is nearly
+every mutant, whose gene is redrawn uniformly in wide bounds. The fitness f is convex, so f(x) >= f(a) + slope(a) . (x -
+a) for any a, a tangent. Each rejected mutant that was evaluated leaves its tangent, for the gene that was redrawn and
+the side of the redraw; the next mutants beyond it cost a few multiplications. Rejecting a child must not change the
+search by a bit:
 
-- Where only a better child replaces the worst, one no better than the worst leaves no trace.
-- Where the child always replaces the worst and the smallest error wins a tournament of two or more, a child worse than
-  all others is the worst until the next child replaces it, and never wins. Only how bad it is remains unknown.
+- If only a better child replaces the worst, a child no better than the worst has no effect.
+- If the child always replaces the worst, and the smallest error wins a tournament of two or more, a child worse than
+  all others is the worst until the next child replaces it, and never wins. Only its exact error remains unknown.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
     record: Record,
     generations: int,
 ) -> None:
-    """Go on for some generations. tangents: as `tangents_of` gives or an earlier call left them; child: (p,)."""
+    """Continue for some generations. tangents: from `tangents_of` or an earlier call; child: (p,), working space."""
     due = due_after(record, population)
     genes, fitness, order = population.genes, population.fitness, population.order
     words = load(population.generator)
@@ -95,7 +96,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
 
 @compiled_inline
 def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
-    """The row of the largest error, the first of equals, and the largest error of the others."""
+    """Return the row of the largest error, the first of equal ones, and the largest error of the other rows."""
     worst, second = 0, -np.inf
     for i in range(1, fitness.size):
         if fitness[i] > fitness[worst]:
@@ -107,7 +108,7 @@ def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
 
 @compiled_inline
 def _place(rules: Rules, population: Population, worst: int, words: Words) -> tuple[int, Words]:
-    """The row that the child takes."""
+    """Return the row that the child replaces."""
     place = worst
     if rules.replacement == OLDEST:
         place = population.progress[0] % population.fitness.size  # every child enters, so ages go round
@@ -118,7 +119,9 @@ def _place(rules: Rules, population: Population, worst: int, words: Words) -> tu
 
 @compiled_inline
 def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, limit: float) -> bool:
-    """Whether the tangent on the child's side of the centre, for the gene redrawn, puts it above the limit."""
+    """Return whether the tangent for the redrawn gene, on the child's side of the centre, puts the child above the
+    limit.
+    """
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
     bound = extent = tangent[0]
@@ -139,7 +142,7 @@ def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     child: Genes,
     limit: float,
 ) -> None:
-    """Put the tangent at the child in the place of that for its gene and side."""
+    """Store the tangent at the child as that for its gene and side."""
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
     for k in range(p):

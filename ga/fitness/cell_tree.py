@@ -37,7 +37,7 @@ from ga.fitness.splitting import add_carrying, blocks_of, child_of, item_of, res
 
 @compiled_inline
 def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
-    """Equation 5 for one chromosome (p,), N m; infinite where that it exceeds the limit was seen on the way down."""
+    """Return equation 5 for one chromosome (p,), N m; infinite if it was found to exceed the limit."""
     node = _node_of(tree, genes, limit)
     if _is_on_the_way(tree, node):
         return np.inf
@@ -51,7 +51,7 @@ def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
 
 @compiled_inline
 def _leaf_error(tree: Tree, node: int) -> float:
-    """The sum of the absolute residuals of a leaf's rows, eight side by side."""
+    """Return the sum of the absolute residuals of a leaf's rows, computed eight at a time."""
     lane, left, p = tree.total, tree.left, tree.place.size
     for j in range(LANES):
         lane[j] = 0.0
@@ -79,15 +79,15 @@ def _leaf_error(tree: Tree, node: int) -> float:
 
 @compiled_inline
 def _is_on_the_way(tree: Tree, node: int) -> bool:
-    """Whether a cell is yet to be split. The root is where chromosomes out of bounds end."""
+    """Return whether a cell is still to be split. The root is returned for chromosomes out of bounds."""
     return node > 0 and tree.nodes[node, KIND] == INNER
 
 
 @compiled_no_refcount
 def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> float:
-    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+    """Return a plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
 
-    It touches the fitness there, unless that exceeds the limit: any plane that shows it will do.
+    It touches the fitness there, unless that exceeds the limit; then any plane above the limit is returned.
     """
     node = _node_of(tree, genes, limit)
     height = tree.sums[node, 0]
@@ -104,7 +104,7 @@ def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> floa
 
 @compiled_no_refcount
 def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
-    """Add to n times the slope (p,) what the rows do that the cell has not decided."""
+    """Add the contribution of the rows with undecided sign to n times the slope (p,)."""
     p = slope.size
     if tree.nodes[node, KIND] == LEAVES:
         for i in range(tree.nodes[node, COUNT]):
@@ -125,7 +125,7 @@ def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
 
 @compiled_no_refcount
 def _list_error(tree: Tree, node: int) -> float:
-    """The sum of the absolute residuals of the rows that a cell without a leaf has not decided."""
+    """Return the sum of the absolute residuals of the undecided rows of a cell that is no leaf."""
     total = carry = 0.0
     for i in range(tree.nodes[node, COUNT]):
         first, end = rows_of(tree, item_of(tree, node, i))
@@ -136,9 +136,9 @@ def _list_error(tree: Tree, node: int) -> float:
 
 @compiled_within
 def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
-    """The leaf of a chromosome, grown if need be; the root where it is out of bounds. Sets place, genes - origin.
+    """Return the leaf of a chromosome, grown if necessary; the root if it is out of bounds. Sets place, genes - origin.
 
-    Growing ends early in a cell whose settled rows alone put it above the limit.
+    Growing ends early in a cell whose settled rows alone exceed the limit.
     """
     inside = True
     scale = 2.0**BITS / tree.width
@@ -190,7 +190,7 @@ def _descend(tree: Tree, limit: float) -> int:
 
 @compiled_inline
 def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
-    """Whether the rows whose sign a cell knows make an error above the limit, the others left out."""
+    """Return whether the rows whose sign is known in a cell make an error above the limit, without the others."""
     bound = extent = tree.sums[node, 0]
     for k in range(tree.place.size):
         rise = -tree.sums[node, k + 1] * tree.place[k]

@@ -1,7 +1,7 @@
-"""The cells of the sub-linear engine: the data in coordinates in which they are cubes, and room for those to be grown.
+"""The cells of the sub-linear engine: the coordinates in which they are cubes, and the memory in which they are grown.
 
-The cells are cubes of v = forward . (genes - origin), coordinates in which the columns are orthogonal, because in them
-no direction needs finer cells than another. `ga.fitness.splitting` grows them.
+The cells are cubes of v = forward . (genes - origin). In these coordinates the columns are orthogonal, so that no
+direction needs finer cells than another. `ga.fitness.splitting` grows the cells.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ Matrix = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 LEAF: Final = 16
-"""Undecided rows up to which a cell is not split further."""
+"""The number of undecided rows up to which a cell is not split further."""
 
 LANES: Final = 8
-"""Rows of a leaf summed side by side."""
+"""The number of rows of a leaf that are summed in parallel."""
 
 BITS: Final = 48
-"""Binary digits of a place in the root cube; below, doubles are too coarse to separate two sides."""
+"""Binary digits of a place in the root cube; with more, doubles are too coarse to separate two sides."""
 
 RECENT: Final = 8
-"""Leaves that are tried first."""
+"""The number of recently used leaves that are tried first."""
 
 _FINEST: Final = 1e-6
-"""The least part of the largest direction's weight that a direction is given: collinear columns have one of none."""
+"""The smallest weight of a direction, relative to the largest; collinear columns have a direction of zero weight."""
 
 _LISTED: Final = 1 << 26
-"""Places for undecided rows and groups, 256 MiB, beyond which no more are provided than are needed."""
+"""Places for undecided rows and groups, 256 MiB; more are provided only if needed."""
 
 _NODES: Final = 1 << 16
 
@@ -160,9 +160,9 @@ def _space(n: int, p: int) -> dict[str, Any]:
 
 
 def _near_solution(columns: Matrix, torque: Vector) -> Vector:
-    """Genes (p,) near the optimum: residuals are kept relative to them, lest large sums cancel.
+    """Return genes (p,) near the optimum: residuals are stored relative to them, so that large sums do not cancel.
 
-    Rounded to single precision, so that libraries that differ in the last bits give the same ones.
+    They are rounded to single precision, so that libraries that differ in the last bits give the same genes.
     """
     scale = np.abs(columns).max(axis=0)
     scale[scale == 0.0] = 1.0
@@ -171,9 +171,9 @@ def _near_solution(columns: Matrix, torque: Vector) -> Vector:
 
 
 def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
-    """The triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1.
+    """Return the triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1.
 
-    Rounded to single precision: any matrix near it serves, but it must be the same everywhere.
+    It is rounded to single precision: any similar matrix serves, but it must be equal everywhere.
     """
     p = columns.shape[1]
     live = np.flatnonzero(np.abs(columns).max(axis=0) > 0.0)

@@ -27,12 +27,13 @@ if TYPE_CHECKING:
 Engine: TypeAlias = Samples | Tree
 
 WORTHWHILE: Final = 1_000_000_000
-"""Residuals in one search from which the cells repay the seconds of their first compilation."""
+"""Residuals in one search from which the cells save more time than their first compilation takes."""
 
 REPAID: Final = 50_000
-"""Evaluations in one search from which the cells repay their growing, whatever the number of samples.
+"""Evaluations in one search from which the cells save more time than growing them takes, for any number of samples.
 
-A search of the `default` preset is over before, its children everywhere in a cloud that shrinks in step with the cells.
+A search of the `default` preset ends before; its children spread everywhere in a cloud that shrinks as fast as the
+cells.
 """
 
 
@@ -43,10 +44,11 @@ def engine_for(
     evaluations: int,
     start: Start | None = None,
 ) -> Engine:
-    """The engine for columns (n, p) and torque (n,), N m, that some number of evaluations within the bounds asks for.
+    """Return the engine for columns (n, p) and torque (n,), N m, that suits this number of evaluations within the
+    bounds.
 
-    start: where all of them begin, to close in from there.
-    Raises ValueError where the data are not finite, not of equal length or empty.
+    start: the region in which all of them begin. Raises ValueError if the data are not finite, not of equal length or
+    empty.
     """
     if start is not None:
         return collapse(columns, torque, start)
@@ -62,7 +64,7 @@ def fork(engine: Engine) -> Engine:
 
 @compiled_within
 def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
-    """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
+    """Return equation 5 for one chromosome (p,), N m; it may return infinity if that exceeds the limit."""
     if samples is not None:
         return dense_error(samples, genes, limit)
     if tree is not None:
@@ -74,9 +76,10 @@ def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float
 def tangent_of(
     samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
 ) -> float:
-    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+    """Return a plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
 
-    It touches the fitness there, unless that exceeds the limit: then the plane does so too, but may run below it.
+    It touches the fitness there, unless that exceeds the limit: then the plane exceeds it too, but may lie below the
+    fitness.
     """
     if samples is not None:
         return dense_tangent(samples, genes, slope)
@@ -95,7 +98,7 @@ def errors_of(
 
 
 def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
-    """The engine as the compiled loops take it."""
+    """Return the engine in the form that the compiled loops take."""
     return (engine, None) if isinstance(engine, Samples) else (None, engine)
 
 

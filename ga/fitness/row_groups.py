@@ -1,8 +1,8 @@
-"""The rows of a cell tree in groups of rows that are alike, and these in groups again: most are decided as a whole.
+"""The rows of a cell tree in groups of similar rows, and these in larger groups: most are decided as a whole.
 
-Rows are alike whose residuals at the origin and whose columns are: then so are their residuals at any place nearby. A
-group has one sign throughout a cell where the mean of its residuals is further from zero than any of them can be from
-that mean there. What a cell costs to grow then depends on the boundary between its signs, and little on the number of
+Rows are similar if their residuals at the origin and their columns are: then their residuals are similar everywhere
+nearby. A group has one sign throughout a cell if the mean of its residuals is further from zero than any of them can be
+from that mean. The cost of growing a cell then depends on the boundary between the signs, and little on the number of
 rows. The idea is that of a ball tree (Omohundro 1989).
 """
 
@@ -31,10 +31,10 @@ _LEVELS: Final = 64  # ranges that wait to be divided: one a level
 
 
 def arranged(residuals: Vector, along: Matrix) -> Whole:
-    """Return the order (n,) in which rows that are alike stand together, in ranges that `group` takes.
+    """Return the order (n,) in which similar rows are adjacent, in ranges that `group` takes.
 
-    residuals: (n,) N m, at the origin. along: (n, p), the columns in the coordinates of the cells, of mean square one.
-    The mean residual is the unit of the others: in cells of that size a fit is looked for.
+    residuals (n,): N m, at the origin. along (n, p): the columns in the coordinates of the cells, of mean square one.
+    The mean residual is the unit of the residuals: a fit is searched in cells of that size.
     """
     size = float(np.mean(np.abs(residuals))) or 1.0
     points = np.column_stack([residuals / size, along, np.arange(len(along), dtype=np.float64)])

@@ -1,4 +1,4 @@
-"""The growth of a cell: the part of it that a search enters becomes a cell of its own, with the rows it leaves open."""
+"""The growth of a cell: the part that a search enters becomes a cell of its own, with its undecided rows."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from ga.fitness.cells import (
 from ga.fitness.row_groups import END_ROW, FAN, FIRST_PART, FIRST_ROW, PARTS
 
 _TOGETHER: Final = 64
-"""Rows that are added up before their sum is added with what its rounding takes."""
+"""The number of rows that are summed before the sum is added with compensation for rounding."""
 
 _RESOLVED: Final = 500
-"""Of a cell's rows, the part that is small enough to be listed as a group some of whose rows have one sign."""
+"""The fraction of a cell's rows below which a partly decided group is listed as a whole."""
 
 _STEP: Final = 2
-"""Binary digits that a cell is shorter than its parent, in each direction."""
+"""The binary digits by which a cell is smaller than its parent, in each direction."""
 
 
 @compiled_inline

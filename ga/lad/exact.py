@@ -1,6 +1,6 @@
-"""The exact minimum of the fitness: the least-absolute-deviations problem, solved to a vertex and proven.
+"""The exact minimum of the fitness: the least-absolute-deviations problem, solved to a vertex and proven optimal.
 
-The search is judged by it: the gap between the two is the optimiser's error, what is left is the data's.
+The search is compared with it: the gap between the two is the optimiser's error, the rest is the data's.
 """
 
 from __future__ import annotations
@@ -18,17 +18,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _RANK: Final = 1e-10
-"""A column that is, to this part of its length, a combination of others adds nothing that rounding leaves."""
+"""A column adds nothing if all but this fraction of its length is a combination of others."""
 
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
-"""Relative to the mean torque: tried in turn until one gives a certificate; ties are resolved by the second."""
+"""Perturbations relative to the mean torque, tried in turn until one gives a certificate; the second already resolves
+ties.
+"""
 
 _ATTEMPTS: Final = (*((amount, False) for amount in _PERTURBATIONS), *((amount, True) for amount in _PERTURBATIONS))
-"""Perturbations, and whether a descent that stalls among the rows near an estimate is tried among more of them, which
-costs more than another perturbation."""
+"""The perturbations, each with whether a descent that stalls among the rows near an estimate is repeated among more
+rows, which costs more than another perturbation.
+"""
 
 _DIRECT: Final = 6000
-"""Rows up to which the descent takes all of them; above, it is bracketed on a subsample first."""
+"""The number of rows up to which the descent takes all of them; above, a subsample brackets it first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,11 @@ class Optimum:
 def least_absolute_deviations(
     columns: NDArray[np.float64], torque: NDArray[np.float64], near: NDArray[np.float64] | None = None
 ) -> Optimum:
-    """The chromosome of least mean absolute error for columns (n, p) and torque (n,), N m, unbounded.
+    """Return the chromosome of least mean absolute error for columns (n, p) and torque (n,), N m, without bounds.
 
-    Any n, any p up to 8 or so; rows may be tied or repeated, columns zero or collinear, n less than p.
-    near: genes (p,) that are thought to be close to it, SI: the closer they are, the sooner it is found.
-    Raises ValueError where the data are not finite, not of equal length or empty, RuntimeError where no certificate
-    could be reached.
+    Any n, any p up to about 8; rows may be tied or repeated, columns zero or collinear, n less than p. near: genes
+    (p,), SI, that are probably close to it: the closer, the faster it is found. Raises ValueError if the data are not
+    finite, not of equal length or empty, RuntimeError if no certificate could be reached.
     """
     check(columns, torque)
     if (len(torque) <= MANY or near is not None) and (found := solve_few(columns, torque, near)) is not None:
@@ -105,13 +107,13 @@ def not_negative(
     positive: tuple[int, ...],
     near: NDArray[np.float64] | None = None,
 ) -> Optimum:
-    """The chromosome of least mean absolute error of which the genes `positive` are zero or more.
+    """Return the chromosome of least mean absolute error of which the genes `positive` are zero or more.
 
-    The error is convex, so that it only falls on the way from the best of these to the chromosome that is best without
-    bounds: where that one breaks some, one of the genes that it has below zero is zero in the bounded one. Each of
-    them is left out in turn, until none is below zero. Genes that are zero nearby are tried as zeros first. Where
-    columns are dependent and rows few, the best may be missed (5 of 47,000 random problems of up to 13 rows). unique
-    and certificate: given the genes that are zero. Arguments and errors otherwise as of `least_absolute_deviations`.
+    The error is convex, so it falls on the way from the bounded optimum to the unbounded one. If the latter violates
+    some bounds, one of the genes that it has below zero is zero in the bounded optimum. Each of them is left out in
+    turn, until none is below zero. Genes that are zero in `near` are tried as zeros first. If columns are dependent and
+    rows few, the best may be missed (5 of 47,000 random problems of up to 13 rows). unique and certificate: given the
+    genes that are zero. Other arguments and errors: see `least_absolute_deviations`.
     """
     if near is not None and (held := _as_nearby(columns, torque, positive, near)) is not None:
         return held
@@ -135,9 +137,9 @@ def not_negative(
 def _as_nearby(
     columns: NDArray[np.float64], torque: NDArray[np.float64], positive: tuple[int, ...], near: NDArray[np.float64]
 ) -> Optimum | None:
-    """The optimum in which the genes stay zero that are zero nearby, if it is that of all within the bounds; else None.
+    """Return the optimum with the genes at zero that are zero in `near`, if it is the bounded optimum; else None.
 
-    It is, if the error does not fall where one of these genes rises: the multipliers of the rows that are met say so.
+    It is if the error does not fall when one of these genes rises, as the multipliers of the active rows show.
     """
     zero = [k for k in positive if near[k] == 0.0]
     if not zero:
@@ -164,7 +166,7 @@ def _as_nearby(
 def _without(
     columns: NDArray[np.float64], torque: NDArray[np.float64], zero: list[int], near: NDArray[np.float64]
 ) -> Optimum:
-    """The optimum of the chromosomes in which some genes are zero."""
+    """Return the optimum of the chromosomes in which some genes are zero."""
     kept = np.setdiff1d(np.arange(columns.shape[1]), zero)
     genes = np.zeros(columns.shape[1])
     if not kept.size:
@@ -185,7 +187,9 @@ def fitness_of(columns: NDArray[np.float64], torque: NDArray[np.float64], genes:
 def _signs(
     rows: NDArray[np.float64], torque: NDArray[np.float64], moved: NDArray[np.float64], basis: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """The sign (n,) of each residual; where it is zero to rounding, of the moved torque's; in the basis 0."""
+    """Return the sign (n,) of each residual; if it is zero to rounding, of the perturbed torque's residual; 0 in the
+    basis.
+    """
     inverse = np.linalg.inv(rows[basis])
     point, extent = inverse @ torque[basis], np.abs(inverse) @ np.abs(torque[basis])
     residual = torque - _times(rows, point)
@@ -230,10 +234,11 @@ def _certify(
 
 
 def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Independent columns made orthogonal, each of length sqrt(n): rows (n, r), and which columns they span.
+    """Return rows (n, r) of independent columns made orthogonal, each of length sqrt(n), and the indices of these
+    columns.
 
-    scale: the largest size in each column (p,), which keeps squares in range. Columns that are clearly distinct are
-    made so by one Cholesky decomposition, which is all that a descent needs, others one by one.
+    scale: the largest value in each column (p,), which keeps squares in range. Clearly distinct columns need one
+    Cholesky decomposition, others are treated one by one.
     """
     scaled = columns / scale
     gram = scaled.T @ scaled
@@ -280,9 +285,9 @@ def _orthogonal(
 def _solve(
     rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, patient: bool
 ) -> NDArray[np.int64] | None:
-    """The optimal basis of all rows (n, r), looked for from the point start (r,); None where the descent stalls.
+    """Return the optimal basis of all rows (n, r), searched from the point start (r,); None if the descent stalls.
 
-    patient: where it stalls among a part of the rows, more of them are taken, up to all.
+    patient: if it stalls among a part of the rows, take more of them, up to all.
     """
     n, r = rows.shape
     if n <= _DIRECT:
@@ -301,7 +306,7 @@ def _solve(
 def _bracketed(
     rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int, *, patient: bool
 ) -> NDArray[np.int64] | None:
-    """The optimal basis, looked for around the centre (r,), an estimate from `count` rows, ever further away."""
+    """Return the optimal basis, searched around the centre (r,), an estimate from `count` rows, in growing regions."""
     r = len(centre)
     residual = torque - _times(rows, centre)
     reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
@@ -327,7 +332,7 @@ def _bracketed(
 
 
 def _is_vertex(basis: NDArray[np.float64]) -> bool:
-    """Whether the rows (r, r) of a basis are independent: the few that a bracket leaves open need not be."""
+    """Return whether the rows (r, r) of a basis are independent; the few undecided rows of a bracket may not be."""
     return bool(np.linalg.cond(basis) < 1.0 / _RANK)
 
 

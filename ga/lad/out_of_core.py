@@ -23,14 +23,14 @@ from ga.start import Start
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Blocks = Callable[[], Iterable[tuple[Matrix, Vector]]]
-"""The data as often as they are asked for, in order: columns (m, p) and torque (m,), N m, of any number of rows."""
+"""Columns (m, p) and torque (m,), N m, in blocks of any number of rows, in order, as often as they are asked for."""
 
 _SUBSAMPLE: Final = 200_000
 _SHARE: Final = 0.01
-"""The part of all rows that is drawn where that is more: the subsample's work and what it leaves stay in step."""
+"""The fraction of all rows that is drawn, if that is more: the subsample then costs as much as the rows it leaves."""
 
 _SIGMAS: Final = 6.0
-"""Standard errors of the subsample's optimum that the ball reaches, in each direction."""
+"""The radius of the ball in standard errors of the subsample's optimum."""
 
 _WIDER: Final = 8.0
 _ATTEMPTS: Final = 6
@@ -38,12 +38,12 @@ _ATTEMPTS: Final = 6
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The data in a thousandth of their rows: columns (m, p), torque (m,), N m, the first row holding all the settled.
+    """The data reduced to about a thousandth of their rows: columns (m, p), torque (m,), N m.
 
-    length: rows of the whole, over which the mean is. optimum: of the whole. The mean absolute error of these rows
-    times `share` is the fitness of the whole in a ball around the optimum, and never more than it elsewhere.
-    start: where a search of these rows may begin, around the subsample's optimum; None where all rows are here, or a
-    column is zero.
+    The first row holds the sum of all rows with settled sign. length: the number of rows of the whole, over which means
+    are taken. optimum: of the whole. The mean absolute error of these rows times `share` equals the fitness of the
+    whole in a ball around the optimum, and is never larger elsewhere. start: the region in which a search of these rows
+    may begin, around the subsample's optimum; None if all rows are here, or a column is zero.
     """
 
     columns: Matrix
@@ -54,13 +54,13 @@ class Reduced:
 
     @property
     def share(self) -> float:
-        """Rows here over rows of the whole."""
+        """Return the number of rows here over that of the whole."""
         return len(self.torque) / self.length
 
     def compared(self, genes: Vector) -> tuple[Optimum, float]:
         """Return the optimum, and how much worse genes (p,) are, relative to it: the optimiser gap, never negative.
 
-        Genes that are better are so by rounding, as their distance to the proven optimum is: they become the optimum.
+        Genes can only be better by rounding, like the distance to the proven optimum; they then become the optimum.
         """
         fitness = fitness_of(self.columns, self.torque, genes) * self.share
         better = fitness < self.optimum.fitness
@@ -136,7 +136,7 @@ def _start(genes: Vector, whitening: Matrix, radius: float) -> Start | None:
 
 
 def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -> tuple[Matrix, Vector]:
-    """The rows that may change sign within `radius` of `genes`, under one row for all the others."""
+    """Return the rows that may change sign within `radius` of `genes`, after one row that stands for all others."""
     settled = np.zeros(len(genes) + 1)
     kept: list[tuple[Matrix, Vector]] = []
     whitening = np.ascontiguousarray(whitening)
