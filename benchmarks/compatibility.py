@@ -320,17 +320,20 @@ def result(session: Session, model: str) -> str:
 
 def main() -> None:
     """Run every session against every model, and write the page."""
-    rows = ["| client | drive | model | result |", "| --- | --- | --- | --- |"]
+    rows = ["| client | drive | models | result |", "| --- | --- | --- | --- |"]
     for session in SESSIONS:
         found = installed(session.client)
+        models: dict[str, list[str]] = {}
         for model in session.models if found else []:
             said = result(session, model)
             print(f"{session.client} {found}, {model}: {said}", flush=True)
-            rows.append(f"| {session.client} {found} | {session.backend} | {model} | {said} |")
+            models.setdefault(said, []).append(model)
+        for said, named in models.items():
+            rows.append(f"| {session.client} {found} | {session.backend} | {', '.join(named)} | {said} |")
     intro = (
-        "# Compatibility\n\nPrograms that nobody here wrote, against every emulated drive that `hil emulate` serves: "
-        "each identifies the drive, switches it on, reads its state and switches it off. "
-        "Written by `python benchmarks/compatibility.py`.\n\n"
+        "# Compatibility\n\nIndependent clients work with the emulated drives of `hil emulate`: each client identifies\n"
+        "the drive, switches it on, reads its state and switches it off. `python benchmarks/compatibility.py` writes\n"
+        "the table.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
     behind = page.read_text(encoding="utf-8").partition("## A chirp")  # benchmarks/chirps.py writes that

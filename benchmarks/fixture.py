@@ -2,14 +2,14 @@
 
     python benchmarks/fixture.py
 
-A chirp of 0.1 to 15 Hz on joint and fixture in series, integrated in time. Writes its section of docs/data.md.
+A chirp of 0.1 to 15 Hz on joint and fixture in series, integrated in time. Writes results/fixture.csv.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from page import write_section
+from page import machine, write_result
 from scipy.integrate import solve_ivp
 
 from ga.lad.exact import least_absolute_deviations
@@ -71,7 +71,11 @@ def main() -> None:
     for ratio, lag in ((20.0, 1e-4), (10.0, 1e-3), (5.0, 2e-3), (3.0, 5e-3)):
         lines.append(row(ratio, lag))
         print(lines[-1], flush=True)
-    write_section("fixture", "\n".join(lines), file="data.md")
+    about = (
+        f"Errors of Kc and Bc, per cent, of the paper's joint in a compliant fixture, seed 1; {machine()}.\n"
+        f"The first three columns of errors: least squares without noise; 0.2 mN m of noise: mean of {SEEDS} draws."
+    )
+    write_result("fixture", "\n".join([about, "", *lines]))
 
 
 if __name__ == "__main__":

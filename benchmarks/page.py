@@ -1,4 +1,4 @@
-"""Where the benchmarks write: rows under results/, sections of pages of docs/, and the machine they ran on."""
+"""Where the benchmarks write: rows under results/, and the machine they ran on."""
 
 from __future__ import annotations
 
@@ -60,17 +60,3 @@ def _plain(cell: str) -> str:
     """Return the cell without Markdown, a whole number without its commas."""
     text = cell.strip().replace("`", "").replace("**", "")
     return text.replace(",", "") if text.replace(",", "").isdigit() else text
-
-
-def write_section(name: str, text: str, file: str = "performance.md") -> None:
-    """Put the text between the section's marks, at the end of the page where it has none yet."""
-    path = DOCS / file
-    page = path.read_text(encoding="utf-8") if path.exists() else f"# {path.stem.capitalize()}\n"
-    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
-    section = f"{begin}\n{text.strip()}\n\n{end}\n"
-    if begin in page:
-        before, rest = page.split(begin)
-        page = before + section + rest.split(f"{end}\n", 1)[1]
-    else:
-        page = f"{page.rstrip()}\n\n{section}"
-    path.write_text(page, encoding="utf-8")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -42,4 +43,5 @@ def test_the_page_names_every_client_and_model_and_no_failure() -> None:
     assert "fails" not in page
     for session in COMPATIBILITY.SESSIONS:
         for model in session.models:
-            assert f"| {session.backend} | {model} |" in page
+            row = rf"\| {session.client} \S+ \| {session.backend} \| .*\b{re.escape(model)}\b.* \|"
+            assert re.search(row, page), model
