@@ -331,8 +331,8 @@ def main() -> None:
         for said, named in models.items():
             rows.append(f"| {session.client} {found} | {session.backend} | {', '.join(named)} | {said} |")
     intro = (
-        "# Compatibility\n\nIndependent clients work with the emulated drives of `hil emulate`: each client identifies\n"
-        "the drive, switches it on, reads its state and switches it off. `python benchmarks/compatibility.py` writes\n"
+        "# Compatibility\n\nIndependent clients work with the emulated drives of `hil emulate`: each client\n"
+        "identifies the drive, switches it on, reads its state and switches it off. `python benchmarks/compatibility.py` writes\n"
         "the table.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
