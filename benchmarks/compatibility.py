@@ -332,8 +332,8 @@ def main() -> None:
             rows.append(f"| {session.client} {found} | {session.backend} | {', '.join(named)} | {said} |")
     intro = (
         "# Compatibility\n\nIndependent clients work with the emulated drives of `hil emulate`: each client\n"
-        "identifies the drive, switches it on, reads its state and switches it off. `python benchmarks/compatibility.py` writes\n"
-        "the table.\n\n"
+        "identifies the drive, switches it on, reads its state and switches it off. The table is written by\n"
+        "`python benchmarks/compatibility.py`.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
     behind = page.read_text(encoding="utf-8").partition("## A chirp")  # benchmarks/chirps.py writes that

@@ -85,10 +85,10 @@ def test_the_commands_for_ones_own_stand_run_on_the_stand_file_shown(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # that of the transcript is drawn
-    text = block("stand", "toml")
+    text = block("write stand.toml", "toml")
     assert parse(text).sim.coupling.stiffness == 0.02
     (tmp_path / "stand.toml").write_text(text)
-    for command in block("own stand", "sh").splitlines():
+    for command in (block("own stand", "sh") + "\n" + block("table", "sh")).splitlines():
         assert run(shlex.split(command)[1:]) == 0, command
     assert (tmp_path / "mine.html").exists()
 
@@ -117,15 +117,6 @@ def be_patient(stand: Path) -> None:
         text, count = re.subn(rf"# {key} = \S+", f"{key} = {value}", text)
         assert count == 1
     stand.write_text(text)
-
-
-def test_the_import_command_runs_on_such_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    rows = "\n".join(f"{index / 100},{index % 7},{index % 5}" for index in range(100))
-    (tmp_path / "log.csv").write_text(f"t,tau,angle\n{rows}\n")
-    commands = [line for line in README.splitlines() if line.startswith("hil import")]
-    assert len(commands) == 1
-    assert run(shlex.split(commands[0])[1:]) == 0
 
 
 def test_every_page_and_picture_the_readme_points_to_is_there() -> None:

@@ -38,8 +38,8 @@ def test_the_commands_of_the_page_run_on_its_stand_file(tmp_path: Path, monkeypa
     stand, count = re.subn(r"watchdog = 0.1", "watchdog = 1.0\nreply_timeout = 0.3", block("write stand.toml"))
     assert count == 1
     (tmp_path / "stand.toml").write_text(stand)
-    emulate, *commands = block("commands").splitlines()
-    _, _, name, *words, _ = shlex.split(emulate)
+    emulate, *commands, _ = block("commands").splitlines()
+    name, *words = shlex.split(emulate.split("(")[1])[2:-1]
     options = dict(zip(words[::2], words[1::2], strict=True))
     given = {"link": Path(options["--link"]), "model": options["--model"], "firmware": options["--firmware"]}
     served = make(name, given)

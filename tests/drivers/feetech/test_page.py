@@ -30,9 +30,9 @@ def commands() -> list[str]:
 @pytest.mark.usefixtures("busy_machine")
 def test_the_session_of_the_page_gives_a_stiffness(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    new, emulate, *rest = commands()
+    new, emulate, *rest, _ = commands()
     assert run([*shlex.split(new)[1:], "--set", "feetech.reply_timeout=0.3"]) == 0
-    _, _, name, *words, _ = shlex.split(emulate)
+    name, *words = shlex.split(emulate.split("(")[1])[2:-1]
     options = dict(zip(words[::2], words[1::2], strict=True))
     served = make(name, {"link": Path(options["--link"]), "model": options["--model"]})
     thread = threading.Thread(target=served.serve)

@@ -232,7 +232,7 @@ def test_the_example_has_twenty_two_joints() -> None:
 
 def test_the_plan_of_the_page_can_be_loaded(tmp_path: Path) -> None:
     page = (ROOT / "docs" / "campaigns.md").read_text(encoding="utf-8")
-    block = re.search(r"<!-- plan -->\n```toml\n(.+?)```", page, re.DOTALL)
+    block = re.search(r"<!-- write plan.toml -->\n```toml\n(.+?)```", page, re.DOTALL)
     assert block is not None
     (tmp_path / "plan.toml").write_text(block[1])
     assert len(load(tmp_path / "plan.toml").runs) == 9
