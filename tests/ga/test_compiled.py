@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numba
 import pytest
 
-from ga.compiled import KEPT, _compiled_once, cache_folder, compiled
+from ga.compiled import KEPT, _compiled_once, cache_folder, compiled, is_compiled
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
 CALLER = "from ga.compiled import compiled\nfrom joint.{callee} import stiffness\n\n\n@compiled\ndef torque(x):\n    return stiffness() * x\n"  # noqa: E501
 CALLEE = "from ga.compiled import compiled\n\n\n@compiled\ndef stiffness():\n    return {value}\n"
-ASK = "import joint.caller as caller; print(caller.torque(1.0), sum(caller.torque.stats.cache_hits.values()))"
+ASK = "import joint.caller as caller; print(caller.torque(1.0), sum(caller.torque.stats.cache_hits.values()) > 0)"
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -34,20 +36,48 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module", autouse=True)
+def numba_is_ready() -> None:
+    """The first function that a process compiles takes a second, and a copy of the process need not repeat that."""
+    numba.njit(lambda x: x * 2.0)(1.0)
+
+
+def begin(question: str, package: Path, cache: Path) -> tuple[int, int]:
+    """A copy of this process that finds the package and this cache: its number, and the pipe it answers through."""
+    reading, writing = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the copy uses none of theirs
+        child = os.fork()
+    if child == 0:
+        try:
+            os.environ["XDG_CACHE_HOME"], CONFIG.CACHE_DIR = str(cache), ""
+            sys.path.insert(0, str(package.parent))
+            sys.dont_write_bytecode = True
+            logging.getLogger().handlers.clear()  # pytest's, which keep what is said
+            with os.fdopen(writing, "w") as file, redirect_stdout(file), redirect_stderr(file):
+                exec(question, {})  # noqa: S102 - ours
+        finally:
+            os._exit(0)
+    os.close(writing)
+    return child, reading
+
+
+def end(child: int, reading: int) -> str:
+    """What it printed, also to standard error."""
+    with os.fdopen(reading) as file:
+        printed = file.read()
+    os.waitpid(child, 0)
+    return printed
+
+
 def ask(package: Path, cache: Path) -> tuple[float, bool]:
-    """What the compiled caller returns in a new process, and whether its machine code came from the cache."""
-    value, hits = answer(ASK, package, cache).split()
-    return float(value), int(hits) > 0
+    """What the compiled caller returns in another process, and whether its machine code came from the cache."""
+    return answered(end(*begin(ASK, package, cache)))
 
 
-def answer(question: str, package: Path, cache: Path) -> str:
-    """What a new process that finds the package and this cache prints, also to standard error."""
-    search = os.pathsep.join([str(package.parent), str(ROOT)])
-    env = {**os.environ, "PYTHONPATH": search, "XDG_CACHE_HOME": str(cache), "PYTHONDONTWRITEBYTECODE": "1"}
-    env.pop("NUMBA_CACHE_DIR", None)
-    command = [sys.executable, "-c", question]
-    run = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True, env=env)
-    return run.stdout
+def answered(printed: str) -> tuple[float, bool]:
+    value, found = printed.split()
+    return float(value), found == "True"
 
 
 def rewrite(source: Path, text: str) -> None:
@@ -58,9 +88,8 @@ def rewrite(source: Path, text: str) -> None:
 
 
 def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tmp_path: Path) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        asked = [pool.submit(ask, package, tmp_path / "cache") for _ in range(2)]
-    assert sorted(answer.result() for answer in asked) == [(2.0, False), (2.0, True)]
+    asked = [begin(ASK, package, tmp_path / "cache") for _ in range(2)]
+    assert sorted(answered(end(*one)) for one in asked) == [(2.0, False), (2.0, True)]
 
 
 def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(
@@ -73,11 +102,16 @@ def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(
     assert heard == [0, 1]
 
 
-def test_a_function_is_known_to_be_compiled_once_it_was(package: Path, tmp_path: Path) -> None:
-    asking = ASK.replace("print", "from ga.compiled import is_compiled; print(is_compiled(caller.torque)); print")
-    before, _ = answer(asking, package, tmp_path / "cache").splitlines()
-    after, _ = answer(asking, package, tmp_path / "cache").splitlines()
-    assert (before, after) == ("False", "True")
+def test_a_function_is_known_to_be_compiled_once_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ga.compiled.cache_folder", lambda _package: tmp_path)
+
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    function = compiled(doubled)
+    assert not is_compiled(function)
+    function(1.0)
+    assert is_compiled(function)
 
 
 def test_a_changed_function_of_another_module_is_compiled_again_and_a_former_one_found(
@@ -117,9 +151,9 @@ def test_where_nothing_can_be_written_the_program_works_and_says_so_once(
     package: Path, tmp_path: Path, cache: str, first: str
 ) -> None:
     (package / "__pycache__").write_text("a file where the folder would be")
-    warning, result = answer(first + ASK, package, tmp_path / cache).splitlines()
+    warning, result = end(*begin(first + ASK, package, tmp_path / cache)).splitlines()
     assert "compiled functions cannot be kept" in warning
-    assert result == "2.0 0"
+    assert result == "2.0 False"
     assert not list(tmp_path.rglob("*.nbi"))
 
 
@@ -168,7 +202,11 @@ def test_the_working_directory_says_nothing_of_where_machine_code_is(
     """A file of numba's settings there, and a user without a home, whose folders are relative: "~/.cache"."""
     monkeypatch.chdir(tmp_path)
     Path(".numba_config.yaml").write_text("cache_dir: planted\ndisable_jit: 1\n")
-    assert ask(package, tmp_path / "cache") == (2.0, False)
+    search = os.pathsep.join([str(package.parent), str(ROOT)])
+    env = {**os.environ, "PYTHONPATH": search, "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    env.pop("NUMBA_CACHE_DIR", None)
+    run = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True, env=env)
+    assert answered(run.stdout) == (2.0, False)
     assert (tmp_path / "cache").exists()
     monkeypatch.setattr("ga.compiled._appdirs.user_cache_dir", lambda *_, **__: "~/.cache/hil")
     assert cache_folder(package) == package / "__pycache__" / next((package / "__pycache__").iterdir()).name

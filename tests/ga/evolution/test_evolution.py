@@ -176,7 +176,9 @@ READINGS = [
 
 
 @pytest.mark.parametrize(("selection", "replacement"), READINGS)
-@pytest.mark.parametrize("engine", [grow, pack], ids=["boxes", "dense"])
+@pytest.mark.parametrize(
+    "engine", [pytest.param(grow, id="boxes", marks=pytest.mark.study), pytest.param(pack, id="dense")]
+)
 def test_turning_hopeless_children_away_changes_nothing(
     paper_like: Data, engine: Any, selection: Any, replacement: Any
 ) -> None:
@@ -192,10 +194,12 @@ def test_turning_hopeless_children_away_changes_nothing(
             assert np.array_equal(one, other)
 
 
-def test_turning_hopeless_children_away_changes_nothing_in_the_default_preset(paper_like: Data) -> None:
+@pytest.mark.parametrize("boxes", [pytest.param(True, marks=pytest.mark.study), False])
+def test_turning_hopeless_children_away_changes_nothing_in_the_default_preset(paper_like: Data, *, boxes: bool) -> None:
     ends = []
     for reject in (True, False):
-        engine = grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS)
+        data = (paper_like.columns, paper_like.torque)
+        engine: Engine = grow(*data, PAPER_BOUNDS) if boxes else pack(*data)
         population = begin(engine, PAPER_BOUNDS, PRESETS["default"], seed=5, trial=0)
         advance(engine, PAPER_BOUNDS, PRESETS["default"], population, 20_000, reject=reject)
         ends.append(population)
@@ -204,12 +208,12 @@ def test_turning_hopeless_children_away_changes_nothing_in_the_default_preset(pa
 
 
 def test_with_minimise_the_worst_is_replaced_always_or_only_if_better_with_the_same_result(paper_like: Data) -> None:
-    engine = grow(paper_like.columns, paper_like.torque, PAPER_BOUNDS)
+    engine = pack(paper_like.columns, paper_like.torque)
     ends = []
     for rule in ("worst", "worst-if-better"):
-        settings = replace(SHORT, replacement=rule, generations=20_000)
+        settings = replace(SHORT, replacement=rule, generations=3000)
         population = begin(engine, PAPER_BOUNDS, settings, seed=2, trial=0)
-        advance(engine, PAPER_BOUNDS, settings, population, 20_000)
+        advance(engine, PAPER_BOUNDS, settings, population, 3000)
         ends.append(population)
     one, other = ends
     assert np.array_equal(one.best, other.best)
@@ -218,6 +222,7 @@ def test_with_minimise_the_worst_is_replaced_always_or_only_if_better_with_the_s
     assert np.array_equal(np.sort(one.fitness)[:-1], np.sort(other.fitness)[:-1])
 
 
+@pytest.mark.study  # a search over boxes is compiled for a minute
 @pytest.mark.parametrize("preset", ["paper", "default"])
 def test_both_engines_lead_the_search_to_the_same_optimum(paper_like: Data, preset: str) -> None:
     settings = replace(PRESETS[preset], generations=3000)

@@ -232,10 +232,10 @@ def test_the_search_comes_to_the_bottom_whatever_the_number_of_workers() -> None
 @pytest.mark.parametrize("name", ["linear+skew", "linear+maxwell", "linear+dahl"])
 def test_a_search_for_one_parameter_ends_early_and_every_trial_at_the_lowest_minimum(name: str) -> None:
     asked = problem(name, skewed(2e-3))
-    trials, best = search_nonlinear(asked, PRESETS["default"], trials=6, seed=1, workers=1)
-    assert trials.evaluations < 6 * 250
+    trials, best = search_nonlinear(asked, PRESETS["default"], trials=3, seed=1, workers=1)
+    assert trials.evaluations < 3 * 250
     assert best.fitness <= fit(asked).fitness * (1.0 + 1e-9)
-    assert trials.fitness == pytest.approx(np.full(6, best.fitness), rel=1e-6)
+    assert trials.fitness == pytest.approx(np.full(3, best.fitness), rel=1e-6)
 
 
 def test_the_search_counts_its_work_and_tells_how_far_it_is() -> None:
@@ -273,11 +273,10 @@ def test_a_shape_that_cannot_be_fitted_is_passed_over_in_the_search_for_a_valley
     assert np.isfinite(fit(problem).fitness)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_no_trial_is_better_than_the_best_fit_returned_with_them(seed: int) -> None:
+def test_no_trial_is_better_than_the_best_fit_returned_with_them() -> None:
     """When flanks part depends on Bc/Kc, which is agreed on to a tolerance: solving again would end beside it."""
     asked = problem("linear+offset+backlash", with_play(0.06, 0.03))
-    trials, best = search_nonlinear(asked, PRESETS["default"], trials=2, seed=seed, workers=2)
+    trials, best = search_nonlinear(asked, PRESETS["default"], trials=2, seed=0, workers=2)
     assert best.fitness == trials.fitness.min()
     assert np.array_equal(best.values, trials.best)
     assert float(np.mean(np.abs(asked.residuals(best)))) == pytest.approx(best.fitness, rel=1e-12)
