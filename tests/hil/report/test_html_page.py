@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from importlib.util import find_spec
@@ -22,14 +23,16 @@ from matplotlib.figure import Figure
 
 import hil as api
 from hil.cli.app import run
+from hil.identification.result import Identification
 from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
-from hil.recording.writer import write as write_recording
 from hil.report.chart import Chart, Line, Panel
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.pictures.canvas import canvas
+from hil.report.pictures.files import write_pictures
 
 from ..conftest import Hil, Maker
+from .conftest import recording
 
 
 class Elements(HTMLParser):
@@ -55,16 +58,13 @@ class Elements(HTMLParser):
         return [attributes for name, attributes in self.found if name == tag]
 
 
+Report = tuple[api.IdentificationResult, str]
+
+
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[api.IdentificationResult, str]:
-    folder, time, generator = tmp_path_factory.mktemp("report"), np.arange(2000) / 500.0, np.random.default_rng(0)
-    dtheta, rate = 0.2 * np.sin(8.0 * time), 1.6 * np.cos(8.0 * time)
-    torque = 0.02 * dtheta + 2e-4 * rate + 2e-4 * generator.standard_normal(2000)
-    write_recording(
-        folder / "a.h5", Header(profile={"kind": "imported"}), {"time": time, "torque": torque, "dtheta": dtheta}
-    )
-    result = api.identify(folder / "a.h5", "linear", trials=1)
-    return result, result.report(folder / "r.html", "hil identify a.h5").read_text(encoding="utf-8")
+def report(answer: api.IdentificationResult, tmp_path_factory: pytest.TempPathFactory) -> Report:
+    path = tmp_path_factory.mktemp("report") / "r.html"
+    return answer, answer.report(path, "hil identify a.h5").read_text(encoding="utf-8")
 
 
 def embedded(page: str) -> dict[str, Any]:
@@ -73,9 +73,7 @@ def embedded(page: str) -> dict[str, Any]:
     return found
 
 
-def test_a_report_holds_the_json_object_and_says_its_numbers_first(
-    report: tuple[api.IdentificationResult, str],
-) -> None:
+def test_a_report_holds_the_json_object_and_says_its_numbers_first(report: Report) -> None:
     result, page = report
     assert embedded(page) == json.loads(json.dumps(result.as_json()))
     elements = Elements(page)
@@ -86,7 +84,7 @@ def test_a_report_holds_the_json_object_and_says_its_numbers_first(
     assert "hil identify a.h5" in page[page.index("Provenance") :]
 
 
-def test_a_report_needs_no_network_and_no_other_file(report: tuple[api.IdentificationResult, str]) -> None:
+def test_a_report_needs_no_network_and_no_other_file(report: Report) -> None:
     page = report[1]
     addresses = set(re.findall(r"https?://[^\s\"'<>)]+", page))
     named = ("http://www.w3.org/", "https://github.com/leeoniya/uPlot")  # a name space, and a library in its comment
@@ -97,7 +95,7 @@ def test_a_report_needs_no_network_and_no_other_file(report: tuple[api.Identific
             assert (attributes.get(name) or "#").startswith(("#", "data:image/png;base64,"))
 
 
-def test_every_picture_has_a_sentence_with_its_numbers(report: tuple[api.IdentificationResult, str]) -> None:
+def test_every_picture_has_a_sentence_with_its_numbers(report: Report) -> None:
     elements = Elements(report[1])
     pictures = [found for found in elements.attributes("div") if found.get("role") == "img"]
     assert len(pictures) == len(elements.attributes("figure")) >= 5
@@ -107,7 +105,7 @@ def test_every_picture_has_a_sentence_with_its_numbers(report: tuple[api.Identif
     assert len(names) == len(set(names))
 
 
-def test_a_report_suits_a_phone_the_dark_and_paper(report: tuple[api.IdentificationResult, str]) -> None:
+def test_a_report_suits_a_phone_the_dark_and_paper(report: Report) -> None:
     page = report[1]
     assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in Elements(page).attributes("meta")
     assert "@media (prefers-color-scheme: dark)" in page
@@ -117,13 +115,12 @@ def test_a_report_suits_a_phone_the_dark_and_paper(report: tuple[api.Identificat
 
 
 def test_nothing_from_a_file_becomes_markup(
-    tmp_path: Path, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, found: Identification, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawing takes longer than all the rest
     evil = '</script><script>alert("1")</script>&amp;$x$'
-    path = tmp_path / "a<b>&'$x$.h5"
-    path.write_bytes(make_recording(noise=2e-4).read_bytes())
-    plain = Elements(api.identify(path, "linear", trials=1).report(tmp_path / "r.html").read_text(encoding="utf-8"))
+    named = api.IdentificationResult(replace(found, recordings=(tmp_path / "a<b>&'$x$.h5",)))
+    plain = Elements(named.report(tmp_path / "r.html").read_text(encoding="utf-8"))
     assert plain.text("title").startswith("a<b>&'$x$.h5: ")
     page = Page(
         evil, evil, [evil], [], [Section(evil, [["", evil], [evil, evil]], [evil])], [], [(evil, evil)], {evil: evil}
@@ -171,37 +168,40 @@ def test_a_recording_without_a_row_has_a_report_too(hil: Hil, tmp_path: Path) ->
 def test_the_pictures_are_written_into_a_folder_and_one_that_is_there_is_kept(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = make_recording(noise=2e-4)
-    words = ("identify", path, "--model", "linear", "--trials", 1, "--plot", "p")
-    assert hil(*words).status == 0
-    names = {item.name for item in Path("p").iterdir()}
-    assert {"traces.png", "loop.png", "residuals.png", "intervals.png", "fit.png", "dynamic.png"} <= names
-    assert all((Path("p") / name).read_bytes().startswith(b"\x89PNG") for name in names)
-    ended = hil(*words)
-    assert (ended.status, "traces.png exists" in ended.err) == (2, True)
-    replaced: dict[str, bool] = {}
+    written: dict[str, bool] = {}
     monkeypatch.setattr(
-        "hil.report.pictures.files.save_picture", lambda _, path, *, force: replaced.update({path.name: force})
+        "hil.report.pictures.files.save_picture", lambda _, path, *, force: written.update({path.name: force})
     )
+    words = ("identify", make_recording(samples=400, noise=2e-4), "--model", "linear", "--trials", 1, "--plot", "p")
+    Path("p").mkdir()
+    Path("p/traces.png").write_text("the old one")
+    ended = hil(*words)
+    assert (ended.status, "traces.png exists" in ended.err, written) == (2, True, {})
     assert hil(*words, "--force").status == 0
-    assert replaced == dict.fromkeys(names, True)
+    assert {"traces.png", "loop.png", "residuals.png", "intervals.png"} <= set(written)
+    assert all(written.values())
+
+
+def test_a_picture_is_a_png(tmp_path: Path) -> None:
+    picture = Picture("p", "Picture", "A panel.", lambda: canvas(1, 1, (4, 3))[0])
+    (path,) = write_pictures([picture], tmp_path / "new", force=False)
+    assert path.name == "p.png"
+    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_inspect_draws_the_recording_and_refuses_another_format(hil: Hil, make_recording: Maker) -> None:
-    path = make_recording(noise=2e-4)
+    path = make_recording(samples=400, noise=2e-4)
     assert hil("inspect", path, "--plot", "a.png").status == 0
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert hil("inspect", path, "--plot", "a.png").status == 2
-    assert hil("inspect", path, "--plot", "a.png", "--force").status == 0
     ended = hil("inspect", path, "--plot", "a.svg")
     assert (ended.status, "a.svg is no name of a picture" in ended.err) == (2, True)
 
 
-def test_the_size_of_a_report_does_not_grow_with_the_samples(
-    report: tuple[api.IdentificationResult, str], tmp_path: Path, make_recording: Maker
-) -> None:
+@pytest.mark.study
+def test_the_size_of_a_report_does_not_grow_with_the_samples(report: Report, tmp_path: Path) -> None:
     """2000 samples, and 20,000."""
-    many = api.identify(make_recording("many.h5", samples=20_000, noise=2e-4), "linear", trials=1)
+    many = api.identify(recording(tmp_path / "many.h5", samples=20_000), "linear", trials=1)
     size = many.report(tmp_path / "many.html").stat().st_size
     assert size < 1_500_000
     assert size < 1.4 * len(report[1].encode())
@@ -237,8 +237,9 @@ def range_shown(dom: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@pytest.mark.study
 def test_a_browser_opens_the_report_from_disk_shows_the_numbers_and_zooms(
-    opened: Opened, report: tuple[api.IdentificationResult, str], tmp_path: Path
+    opened: Opened, report: Report, tmp_path: Path
 ) -> None:
     result, page = report[0], tmp_path / "r.html"
     page.write_text(report[1], encoding="utf-8")
@@ -255,9 +256,10 @@ def test_a_browser_opens_the_report_from_disk_shows_the_numbers_and_zooms(
         assert "CONSOLE" not in shown.stderr  # neither errors of scripts nor resources that are missing
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("failed", [False, True])
 def test_axe_finds_no_barrier_in_a_report(
-    opened: Opened, hil: Hil, make_recording: Maker, report: tuple[api.IdentificationResult, str], *, failed: bool
+    opened: Opened, hil: Hil, make_recording: Maker, report: Report, *, failed: bool
 ) -> None:
     if failed:
         hil("identify", make_recording(samples=8), "--report", "r.html")
@@ -277,7 +279,8 @@ def test_the_command_line_that_made_a_report_is_in_it(
     make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")
-    path = make_recording(noise=2e-4)
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")
+    path = make_recording(samples=400, noise=2e-4)
     words = ["identify", str(path), "--model", "linear", "--trials", "1", "--report", str(tmp_path / "r.html")]
     monkeypatch.setattr("sys.argv", ["hil", *words])
     assert run(words) == 0

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from ga.evolution.evolution import PRESETS
-from ga.model.coupling import parse
 from hil.errors import WrongUse
-from hil.identification.fitting.solution import Search
-from hil.identification.identify import identify
+from hil.identification.result import Identification
 from hil.report.identification_json import as_json, upgraded
-
-from ..conftest import Maker
 
 
 def test_a_json_object_of_version_1_is_read_in_the_words_of_version_2() -> None:
@@ -43,9 +38,8 @@ def test_a_json_object_of_version_1_is_read_in_the_words_of_version_2() -> None:
     }
 
 
-def test_a_json_object_of_this_version_is_read_as_it_is_and_one_of_another_refused(make_recording: Maker) -> None:
-    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
-    table = as_json(identify([make_recording(noise=2e-4)], parse("linear"), search))
+def test_a_json_object_of_this_version_is_read_as_it_is_and_one_of_another_refused(found: Identification) -> None:
+    table = as_json(found)
     assert upgraded(table) == table
     for schema in ("hil-identification/3", "hil-comparison/2", None):
         with pytest.raises(WrongUse, match=rf"written as schema {schema!r}.*the version that wrote it"):
