@@ -63,6 +63,7 @@ def signals_of(path: Path) -> Signals:
         return prepare(source.recording, source.table)
 
 
+@pytest.mark.study
 def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp_path: Path) -> None:
     """Two dozen of 1.5 s; their spread is uncertain by 15 %. docs/design.md has 200 of each of six cases."""
     stand = parse(SIMULATED)
@@ -90,6 +91,7 @@ def test_the_best_excitation_beats_the_usual_one_and_keeps_every_limit(quantity:
         assert max(asked.shares(respond(other, found.profile, asked.rate)[1])) < 1.01
 
 
+@pytest.mark.study
 def test_the_best_excitation_is_not_one_whose_bias_exceeds_its_standard_error() -> None:
     """Standard errors alone led to a PRBS up to 35.5 Hz: Bc 0.16 % +- 0.16, and 0.38 % of bias."""
     asked = task("auto", rate=500.0)
@@ -107,6 +109,7 @@ def test_a_relative_error_holds_the_bias_which_a_longer_run_does_not_reduce() ->
     assert one.relative(1e-9) == pytest.approx(0.02)
 
 
+@pytest.mark.study
 def test_no_chirp_or_multisine_nearby_has_smaller_errors_than_the_best() -> None:
     asked = task("linear+offset+coulomb")
     found = best(asked, 4.0)
@@ -132,7 +135,7 @@ def test_a_tighter_limit_is_the_one_that_limits() -> None:
         ("velocity", "velocity = 100.0", "velocity = 5.0"),
         ("torque", "torque = 0.03", "torque = 0.003"),
     ):
-        assert best(task(text=SIMULATED.replace(before, after)), 3.0).limited_by in {name, f"drive {name}"}
+        assert best(task(text=SIMULATED.replace(before, after)), 2.0).limited_by in {name, f"drive {name}"}
 
 
 def test_the_command_it_prints_records_without_passing_a_limit(
@@ -149,7 +152,10 @@ def test_the_command_it_prints_records_without_passing_a_limit(
     assert reached == pytest.approx(chosen["limits"]["deflection"]["peak"], rel=0.02)
 
 
-def test_the_table_names_both_profiles_their_errors_and_what_limits_them(capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_table_names_both_profiles_their_errors_and_what_limits_them(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.api.planning.best", lambda asked, duration, _: short(asked, duration))
     words = ["design", "--backend", "sim", "--duration", "60", "--rate", "250", "--profile", "sine", "--band", "2"]
     assert hil([*words, "--model", "linear"]) == 0
     out, err = capfd.readouterr()
@@ -219,8 +225,9 @@ def test_what_cannot_be_designed_is_refused_in_a_sentence(
 
 
 def test_a_stand_that_is_not_simulated_needs_rough_values_and_says_what_it_assumes(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr("hil.api.planning.best", lambda asked, duration, _: short(asked, duration))
     path = tmp_path / "my stand.toml"
     path.write_text(REAL)
     words = ["design", "--stand", str(path), "--duration", "3", "--rate", "250", "--amplitude", "0.003"]

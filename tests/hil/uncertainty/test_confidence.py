@@ -6,26 +6,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ga.lad.exact import least_absolute_deviations, not_negative
 from hil.identification.result import interval
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
 
-RUNS = 300
 
-
-def coverage(correlation: float, seed: int) -> tuple[float, float]:
+def coverage(correlation: float, runs: int) -> tuple[float, float]:
     """The share of runs whose interval holds the truth, and the mean half-width over its expectation."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(2000) / 500.0
+    rng = np.random.default_rng(1)
+    time = np.arange(1000) / 250.0
     columns = np.column_stack([np.sin(9 * time) + np.sin(40 * time), 9 * np.cos(9 * time) + 40 * np.cos(40 * time)])
     truth = np.array([0.018, 2e-4])
     held, halves, found = [], [], []
-    for _ in range(RUNS):
-        noise = rng.standard_normal(len(time))
-        for index in range(1, len(noise)):
-            noise[index] += correlation * noise[index - 1]
+    for _ in range(runs):
+        noise = lfilter([1.0], [1.0, -correlation], rng.standard_normal(len(time)))
         torque = columns @ truth + 2e-4 * noise
         genes = least_absolute_deviations(columns, torque).genes
         half = confidence_intervals(Blocks.of(columns, torque), genes).half_width
@@ -36,12 +33,12 @@ def coverage(correlation: float, seed: int) -> tuple[float, float]:
     return float(np.mean(held)), float(ratio.mean())
 
 
+@pytest.mark.parametrize(("runs", "slack"), [(100, 0.2), pytest.param(400, 0.1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
-def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float) -> None:
-    """600 parameters: the share of a true 95 % lies within 2.7 % at three standard deviations."""
-    share, ratio = coverage(correlation, seed=1)
-    assert 0.92 <= share <= 0.98
-    assert 0.85 <= ratio <= 1.25
+def test_the_interval_holds_the_truth_as_often_as_it_says(correlation: float, runs: int, slack: float) -> None:
+    share, ratio = coverage(correlation, runs)
+    assert abs(share - 0.95) <= 3.0 * np.sqrt(0.95 * 0.05 / (2 * runs))
+    assert 1.05 - slack <= ratio <= 1.05 + slack
 
 
 def test_a_column_of_zeros_has_an_infinite_interval() -> None:
@@ -105,17 +102,17 @@ def test_data_in_blocks_give_the_interval_of_data_in_one() -> None:
 @pytest.mark.parametrize("true", [0.0, 0.3, 1.0, 3.0])
 def test_the_interval_that_is_cut_at_zero_holds_a_damping_of_zero_or_just_above(true: float) -> None:
     """true: in standard errors of the damping. The value is never negative, and always in its interval."""
-    time = np.arange(1000) / 500.0
+    time = np.arange(500) / 250.0
     angle, rate = 0.2 * np.sin(9.0 * time) + 0.1 * np.sin(31.0 * time), 1.8 * np.cos(9.0 * time)
     rate += 3.1 * np.cos(31.0 * time)
-    columns = np.stack([angle, rate, np.ones(1000)], axis=1)
+    columns = np.stack([angle, rate, np.ones(500)], axis=1)
     damping = true * np.sqrt(0.5 * np.pi) / np.linalg.norm(rate)  # noise of 1: the median's error
-    held = np.zeros(200, dtype=bool)
+    held = np.zeros(100, dtype=bool)
     for seed in range(len(held)):
-        torque = columns @ np.array([50.0, damping, 0.0]) + np.random.default_rng([seed, 7]).standard_normal(1000)
+        torque = columns @ np.array([50.0, damping, 0.0]) + np.random.default_rng([seed, 7]).standard_normal(500)
         values = not_negative(columns, torque, (0, 1)).genes
         half = confidence_intervals(Blocks.of(columns, torque), values).half_width
         low, high = interval(float(values[1]), float(half[1]), positive=True)
         assert 0.0 <= low <= values[1] <= high
         held[seed] = low <= damping <= high
-    assert 0.92 <= held.mean() <= 1.0
+    assert held.mean() >= 0.9

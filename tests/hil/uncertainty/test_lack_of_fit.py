@@ -73,9 +73,9 @@ WRONG = {
 
 @pytest.mark.parametrize("colour", ["white", "coloured", "heavy"])
 def test_a_model_that_describes_its_recording_is_not_rejected(colour: str) -> None:
-    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(10))
+    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(5))
 
-    assert rejected <= 1  # two of 10 come about once in 5,000 where one in 500 is rejected
+    assert rejected <= 1  # two of 5 come about once in 25,000 where one in 500 is rejected
 
 
 @pytest.mark.parametrize("effect", list(WRONG))
@@ -339,7 +339,7 @@ def test_a_gap_of_any_width_is_one(half: float, middle: float) -> None:
 def test_an_effect_is_no_suspect_where_one_of_all_explains_as_much_by_chance() -> None:
     """With a hundredth for each of them, one did in four of these. On the default stand that took a quarter off Bc."""
     unknown = 4e-5 * np.interp(TIME - 0.2, TIME, V)  # like no effect that is known
-    found = [judged(PLAIN + unknown + noise(seed)) for seed in range(60)]
+    found = [judged(PLAIN + unknown + noise(seed)) for seed in range(12)]
     assert all(one.failed for one in found)
     assert sum(bool(one.suspects) for one in found) <= 1
 
@@ -356,7 +356,7 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
 
 
 def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
-    times = 20
+    times = 6
     joined = Recorded(
         np.arange(times * len(TIME)) / 500.0,
         np.tile(WRONG["capstan"], times),
@@ -372,7 +372,7 @@ def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
     )
 
     assert found is not None
-    assert found.samples <= 20_000
+    assert found.samples == 20_000
     assert found.misfit
 
 

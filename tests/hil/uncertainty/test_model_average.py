@@ -77,13 +77,13 @@ def test_what_a_parameter_hides_that_is_positive_and_limited_is_that_of_draws(la
     values, covariance = fitted(columns, torque)
     values += covariance[:, 3] / covariance[3, 3] * (last - values[3])
     found, matrix, criterion = without_positive(values, covariance, np.column_stack([NOTHING[:, :3], [0.0, 0.4]]))
-    draws = np.random.default_rng(1).multivariate_normal(values, covariance, 400_000)
+    draws = np.random.default_rng(1).multivariate_normal(values, covariance, 100_000)
     weights = np.where(draws[:, 3] > 0.0, np.exp(-0.5 * (draws[:, 3] / 0.4) ** 2), 0.0)
     mean = weights @ draws[:, :3] / weights.sum()
     spread = (draws[:, :3] - mean).T @ ((draws[:, :3] - mean) * weights[:, None]) / weights.sum()
     size, known = np.sqrt(np.diag(matrix)), 0.4**2 / (0.4**2 + covariance[3, 3])
-    assert (found - mean) / size == pytest.approx(np.zeros(3), abs=0.03)
-    assert np.sqrt(np.diag(spread)) == pytest.approx(size, rel=0.03)
+    assert (found - mean) / size == pytest.approx(np.zeros(3), abs=0.05)
+    assert np.sqrt(np.diag(spread)) == pytest.approx(size, rel=0.05)
     assert criterion == pytest.approx(2.0 * known - known * max(last, 0.0) ** 2 / covariance[3, 3])
 
 
@@ -102,13 +102,13 @@ def test_a_bounded_parameter_is_refitted_without_its_column_where_it_would_be_ne
 
 
 @pytest.mark.parametrize("costs", [AS_RULE, SELDOM])
-@pytest.mark.parametrize("small", [0.0, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("small", [0.0, 0.05, 0.1])
 def test_the_interval_holds_a_parameter_beside_a_small_effect_that_selection_leaves_out(
     small: float, costs: dict[int, float]
 ) -> None:
-    """300 runs: 95 % lies within 3.8 % at three standard deviations; the significant model alone holds far fewer."""
+    """100 runs: 95 % lies within 6.5 % at three standard deviations; the significant model alone holds far fewer."""
     averaged, selected = [], []
-    for seed in range(300):
+    for seed in range(100):
         columns, torque = regression(seed, (2.0, 1.0, small, 0.0))
         values, covariance = fitted(columns, torque)
         found = average(values, covariance, costs, [], NOTHING)
@@ -116,7 +116,7 @@ def test_the_interval_holds_a_parameter_beside_a_small_effect_that_selection_lea
         averaged.append(abs(found.values[0] - 2.0) < 1.96 * found.errors[0])
         without, narrow = fitted(columns[:, :2], torque)
         selected.append(abs(without[0] - 2.0) < 1.96 * np.sqrt(narrow[0, 0]))
-    assert np.mean(averaged) >= 0.91
+    assert np.mean(averaged) >= 0.88
     assert small < 0.05 or np.mean(selected) < 0.9
 
 

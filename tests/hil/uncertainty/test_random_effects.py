@@ -63,17 +63,17 @@ def test_measurements_a_million_errors_apart_are_pooled_all_the_same() -> None:
 @pytest.mark.parametrize("ratio", [0.0, 1.0, 3.0])
 @pytest.mark.parametrize("count", [2, 4])
 def test_the_intervals_cover_with_few_recordings(count: int, ratio: float) -> None:
-    """95 % of 300 draws is 285 with a standard deviation of 3.8; 97.5 % is what the bounds leave."""
+    """95 % of 100 draws is 95 with a standard deviation of 2.2."""
     rng = np.random.default_rng([count, int(ratio)])
     held = covered = 0
-    for _ in range(300):
+    for _ in range(100):
         errors = rng.uniform(0.5, 1.5, count)
         values = 7.0 + ratio * rng.standard_normal(count) + errors * rng.standard_normal(count)
         pooled = between(values, errors)
         held += pooled.ci95[0] <= 7.0 <= pooled.ci95[1]
         covered += pooled.between_ci95[0] <= ratio <= pooled.between_ci95[1]
-    assert held >= 275
-    assert covered >= 275
+    assert held >= 88
+    assert covered >= 88
 
 
 def test_a_drift_with_equal_errors_is_the_line_of_least_squares() -> None:
@@ -89,8 +89,8 @@ def test_a_drift_with_equal_errors_is_the_line_of_least_squares() -> None:
 def test_a_drift_is_found_by_chance_no_more_often_than_it_says() -> None:
     rng = np.random.default_rng(3)
     times = np.arange(5.0)
-    found = [drift(times, rng.standard_normal(5), rng.uniform(0.5, 1.0, 5)).p < 0.05 for _ in range(400)]
-    assert sum(found) <= 33  # 20 expected, three standard deviations above
+    found = [drift(times, rng.standard_normal(5), rng.uniform(0.5, 1.0, 5)).p < 0.05 for _ in range(100)]
+    assert sum(found) <= 11  # 5 expected, three standard deviations above
 
 
 def test_a_line_that_fits_by_luck_is_not_called_certain() -> None:

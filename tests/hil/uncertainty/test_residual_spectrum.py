@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import confidence_intervals
@@ -20,9 +21,7 @@ SAMPLES = 10_000
 
 def signs(correlation: float, seed: int, samples: int = SAMPLES) -> Array:
     """Of noise in which each sample keeps that part of the one before."""
-    noise = np.random.default_rng(seed).standard_normal(samples)
-    for index in range(1, samples):
-        noise[index] += correlation * noise[index - 1]
+    noise: Array = lfilter([1.0], [1.0, -correlation], np.random.default_rng(seed).standard_normal(samples))
     return np.sign(noise)
 
 
@@ -53,12 +52,12 @@ def test_the_variance_of_a_slow_sum_is_the_closed_form(correlation: float) -> No
     assert np.mean(found) == pytest.approx(power_of_slow_signs(correlation), rel=0.25)
 
 
-@pytest.mark.parametrize("line", [1, 2, 5])
+@pytest.mark.parametrize("line", [1, 5])
 @pytest.mark.parametrize("step", [0.0, 0.06, 0.5])
 def test_a_zero_that_walks_makes_the_slowest_columns_the_least_certain(line: int, step: float) -> None:
     """The products of a column with a random walk add up to those of the walk's steps with the rest of the column."""
     slow, found = np.sin(2.0 * np.pi * line * np.arange(2500) / 2500), []
-    for seed in range(200):
+    for seed in range(80):
         white, steps = np.random.default_rng(seed).standard_normal((2, 2500))
         noise = white + step * np.cumsum(steps)
         spectrum = measure([(slow[:, None], noise - noise.mean())])

@@ -1,4 +1,4 @@
-"""The fixture's compliance removed: against the closed forms of slow motion and an integrated two-spring joint."""
+"""The fixture's compliance removed: against the closed forms of slow motion and a two-spring joint in time."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 
 from ga.lad.exact import least_absolute_deviations
 from hil.errors import Untrustworthy
@@ -20,24 +20,18 @@ SLOW = Excitation.flat((0.001, 0.01))
 def held_by(stiffness: float, damping: float, band: tuple[float, float], length: float = 20.3) -> tuple[Array, Array]:
     """Columns (n, 2) and torque (n,) of a chirp on the joint and a fixture in series, integrated in time."""
     low, high = band
-    time = np.arange(0.0, length, 0.004)
-
-    def angle(t: Array) -> Array:
-        return 0.35 * np.sin(2.0 * math.pi * (low * t + (high - low) * t * t / (2.0 * length)))
-
-    def rate(t: Array) -> Array:
-        phase = 2.0 * math.pi * (low * t + (high - low) * t * t / (2.0 * length))
-        return 0.35 * np.cos(phase) * 2.0 * math.pi * (low + (high - low) * t / length)
-
-    def stretching(t: Array, coupling: Array) -> Array:
-        """Both carry KC*x + BC*x' = stiffness*(angle - x) + damping*(angle' - x')."""
-        force = stiffness * (angle(t) - coupling) + damping * rate(t) - KC * coupling
-        return np.asarray(force / (BC + damping))
-
-    run = solve_ivp(stretching, (0.0, length), [0.0], "LSODA", t_eval=time, rtol=1e-7, atol=1e-10, max_step=0.01)
-    coupling = run.y[0]
-    torque = KC * coupling + BC * stretching(time, coupling)
-    return np.column_stack([angle(time), rate(time)]), torque
+    step = 2.5e-4
+    time = np.arange(0.0, length, step)
+    phase = 2.0 * math.pi * (low * time + (high - low) * time**2 / (2.0 * length))
+    angle = 0.35 * np.sin(phase)
+    rate = 0.35 * np.cos(phase) * 2.0 * math.pi * (low + (high - low) * time / length)
+    # both carry KC*x + BC*x' = stiffness*(angle - x) + damping*(angle' - x'), whose drive is a line between two steps
+    drive, pole = (stiffness * angle + damping * rate) / (BC + damping), (stiffness + KC) / (BC + damping)
+    keep = math.exp(-pole * step)
+    late = (1.0 - keep) / (pole * step)
+    coupling = lfilter([(1.0 - late) / pole, (late - keep) / pole], [1.0, -keep], drive)
+    torque = KC * coupling + BC * (drive - pole * coupling)
+    return np.column_stack([angle, rate])[::16], torque[::16]
 
 
 def test_slowly_the_compliances_add() -> None:
@@ -92,7 +86,7 @@ def test_the_errors_of_both_recordings_are_carried_in() -> None:
     draws = np.array(
         [
             (one.stiffness, one.damping)
-            for m, f in zip(rng.standard_normal((1500, 2)), rng.standard_normal((1500, 2)), strict=True)
+            for m, f in zip(rng.standard_normal((400, 2)), rng.standard_normal((400, 2)), strict=True)
             for one in [
                 corrected(
                     Element(measured.stiffness + m[0] * 5e-5, measured.damping + m[1] * 1e-6),
@@ -102,8 +96,8 @@ def test_the_errors_of_both_recordings_are_carried_in() -> None:
             ]
         ]
     )
-    np.testing.assert_allclose(draws.std(axis=0), [found.stiffness_error, found.damping_error], rtol=0.08)
-    np.testing.assert_allclose(draws.mean(axis=0), [found.stiffness, found.damping], rtol=2e-3)
+    np.testing.assert_allclose(draws.std(axis=0), [found.stiffness_error, found.damping_error], rtol=0.12)
+    np.testing.assert_allclose(draws.mean(axis=0), [found.stiffness, found.damping], rtol=4e-3)
 
 
 def test_slowly_the_errors_are_those_of_the_closed_form() -> None:
