@@ -55,6 +55,7 @@ COUPLING = CouplingParameters(stiffness=KC, damping=BC, coulomb_friction=0.0)
 STIFF = CouplingParameters(stiffness=1.0, damping=20e-3, coulomb_friction=0.0)
 STRONG = STIFF.stiffness / KC
 DURATION, BAND, RATE = 10.0, (0.1, 10.0), 250.0
+BOARD = LoadCellBoard(rate=1000.0, baudrate=921_600)
 CLOSE = (0.01, 0.03)
 STAND = """
 [stand]
@@ -231,8 +232,8 @@ def benches() -> list[Bench]:
     ]
 
 
-def driven(bench: Bench, quantity: Quantity, model: str, *, kind: str = "chirp") -> Identification:
-    """What a recording of the bench identifies. Raises AssertionError where it did not end well."""
+def recorded(bench: Bench, quantity: Quantity, path: Path, *, kind: str = "chirp", duration: float = DURATION) -> Servo:
+    """Record the bench into `path`; return the servo, closed. Raises AssertionError where it did not end well."""
     rig = bench.make()
     servo = rig.open(**dict(bench.position or () if quantity is Quantity.POSITION and not bench.cell else bench.open))
     swing = bench.size if quantity is Quantity.TORQUE or bench.cell else bench.size / bench.kc
@@ -246,24 +247,30 @@ def driven(bench: Bench, quantity: Quantity, model: str, *, kind: str = "chirp")
         limit=3.0 * max(bench.size, bench.kc * swing),
     )
     profile = excitation.make(
-        kind, quantity, amplitude=swing, default_amplitude=swing, duration=DURATION, band=BAND, rate=RATE, seed=0
+        kind, quantity, amplitude=swing, default_amplitude=swing, duration=duration, band=BAND, rate=RATE, seed=0
     )
+    header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text)
+    part = RecordingWriter(path, header, tick_count(profile, RATE))
+    outcome = Recorder(parse(text), servo, profile, RATE, part).run(StopRequest())
+    servo.close()
+    part.finish(outcome.end_reason)
+    part.close()
+    assert (outcome.end_reason, outcome.lost, outcome.late) == ("done", 0, 0), f"{outcome.end_reason}: {outcome.error}"
+    return servo
+
+
+def driven(bench: Bench, quantity: Quantity, model: str, *, kind: str = "chirp") -> Identification:
+    """What a recording of the bench identifies."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
-        header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text)
-        part = RecordingWriter(path, header, tick_count(profile, RATE))
-        outcome = Recorder(parse(text), servo, profile, RATE, part).run(StopRequest())
-        servo.close()
-        part.finish(outcome.end_reason)
-        part.close()
-        assert outcome.end_reason == "done", f"{outcome.end_reason}: {outcome.error}"
+        recorded(bench, quantity, path, kind=kind)
         return identify([path], coupling(model), Search(trials=1, workers=1))
 
 
 def with_cell(rig: Any, servo: Servo) -> Servo:
-    board = LoadCellBoard(rate=1000.0, baudrate=921_600)
-    port = RIGS.SerialLoopback(EmulatedLoadCell(board, rig.device, now=rig.clock.now()), rig.clock, board.baudrate)
-    config = LoadCellConfig(port="loopback", scale=SCALE, baudrate=board.baudrate)
+    cell = EmulatedLoadCell(BOARD, rig.device, now=rig.clock.now())
+    port = RIGS.SerialLoopback(cell, rig.clock, BOARD.baudrate)
+    config = LoadCellConfig(port="loopback", scale=SCALE, baudrate=BOARD.baudrate)
     return StandServo(servo, 0.0, LoadCell(config, clock=rig.clock, port=port))
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import multiprocessing
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -56,6 +58,8 @@ from sim_backend.wire.packets.bus import PacketBus, PacketTiming
 from sim_backend.wire.uart.pty_line import PtyLine
 
 from ..loopback import CanLoopback, SerialLoopback
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture(autouse=True)
@@ -340,16 +344,42 @@ def simulated(_: Path) -> Iterator[tuple[Servo, Limits]]:
     yield from closed_after(SimServo(SimParameters(), seed=1, clock=VirtualClock()), SIM_LIMITS)
 
 
-OTHERS = {"sim": simulated, "dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
+IN_REAL_TIME = {"dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
+OTHERS = {"sim": simulated, **IN_REAL_TIME}
+VARIANTS = {"feetech sts", "odrive 0.5.6", "odrive with endpoints", "mit ak80-9", "cia402 epos2", "cia402 generic"}
+"""Drives of which a sibling stands for them before each commit."""
+
+
+def marks_of(name: str) -> tuple[pytest.MarkDecorator, ...]:
+    """Return how a servo of this name is marked."""
+    return (pytest.mark.study,) if name in VARIANTS or name in IN_REAL_TIME else ()
+
+
+def benchmark(name: str) -> Any:
+    """Return the module of a script in benchmarks/."""
+    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # where dataclasses look for it
+    spec.loader.exec_module(module)
+    return module
+
+
+def sampled(nth: int) -> pytest.MarkDecorator:
+    """Take every `nth` case before each commit, and all of them as a study."""
+    every = pytest.param(1, id="all", marks=pytest.mark.study)
+    return pytest.mark.parametrize("nth", [pytest.param(nth, id="sample"), every])
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     path = metafunc.config.getoption("--stand")
     if "bench" in metafunc.fixturenames:
-        known = [*IN_VIRTUAL_TIME, *OTHERS] if path is None else [Path(path)]
-        metafunc.parametrize("bench", known, indirect=True, ids=str)
+        known = [pytest.param(name, marks=marks_of(name)) for name in (*IN_VIRTUAL_TIME, *OTHERS)]
+        metafunc.parametrize("bench", known if path is None else [Path(path)], indirect=True, ids=str)
     if "wired" in metafunc.fixturenames:
-        metafunc.parametrize("wired", [] if path else list(IN_VIRTUAL_TIME), indirect=True)
+        on_wires = [pytest.param(name, marks=marks_of(name)) for name in IN_VIRTUAL_TIME]
+        metafunc.parametrize("wired", [] if path else on_wires, indirect=True)
 
 
 @pytest.fixture

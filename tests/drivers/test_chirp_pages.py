@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from typing import Any
+
+from .conftest import benchmark
 
 ROOT = Path(__file__).parents[2]
-
-
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("chirps", ROOT / "benchmarks" / "chirps.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["chirps"] = module  # where dataclasses look for it
-    spec.loader.exec_module(module)
-    return module
 
 
 def rows(page: str, mark: str) -> dict[str, list[str]]:
@@ -34,7 +23,7 @@ def percent(cell: str) -> list[float]:
 
 
 def test_the_tables_of_chirps_name_every_drive() -> None:
-    chirps = script()
+    chirps = benchmark("chirps")
     wires, positions = rows("compatibility.md", "chirps"), rows("position_loop.md", "measured")
     assert list(wires) == [bench.name for bench in chirps.benches()]
     assert list(positions) == [bench.name for bench in chirps.benches() if bench.position is not None]
@@ -47,7 +36,7 @@ def test_the_tables_of_chirps_name_every_drive() -> None:
 
 
 def test_the_truth_of_a_bench_is_two_springs_and_dampers_in_series() -> None:
-    chirps = script()
+    chirps = benchmark("chirps")
     bench = next(bench for bench in chirps.benches() if bench.name == "commander")
     kc, bc = bench.truth
     omega = 1e-3

@@ -1,32 +1,19 @@
-"""Clients that nobody here wrote, one model of each: the sessions of benchmarks/compatibility.py."""
+"""Independent clients, one model of each: the sessions of benchmarks/compatibility.py."""
 
 from __future__ import annotations
 
 import gc
-import importlib.util
 import re
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "compatibility.py"
+from .conftest import BENCHMARKS, benchmark
+
+COMPATIBILITY = benchmark("compatibility")
 
 
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("compatibility", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["compatibility"] = module  # where dataclasses look for it
-    spec.loader.exec_module(module)
-    return module
-
-
-COMPATIBILITY = script()
-
-
+@pytest.mark.study
 @pytest.mark.filterwarnings("ignore:Exception ignored in.*ODriveCAN:pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("session", COMPATIBILITY.SESSIONS, ids=lambda session: f"{session.client} {session.backend}")
 def test_a_client_that_is_not_ours_accepts_the_drive(session: Any) -> None:
@@ -39,7 +26,7 @@ def test_a_client_that_is_not_ours_accepts_the_drive(session: Any) -> None:
 
 
 def test_the_page_names_every_client_and_model_and_no_failure() -> None:
-    page = (SCRIPT.parent.parent / "docs" / "compatibility.md").read_text(encoding="utf-8")
+    page = (BENCHMARKS.parent / "docs" / "compatibility.md").read_text(encoding="utf-8")
     assert "fails" not in page
     for session in COMPATIBILITY.SESSIONS:
         for model in session.models:

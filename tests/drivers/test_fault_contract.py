@@ -55,6 +55,8 @@ from sim_backend.wire.moteus.command import POSITION as MOTEUS_POSITION
 from sim_backend.wire.odrive import device as odrive
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
+from .conftest import marks_of, sampled
+
 Rig = Any
 Fresh = Callable[[Sample], bool]
 TURN = 2.0 * np.pi
@@ -548,7 +550,7 @@ DRIVES = {
 def every(*fields: str) -> pytest.MarkDecorator:
     """Every drive that has what the test is about."""
     having = [key for key, drive in DRIVES.items() if all(getattr(drive, field) is not None for field in fields)]
-    return pytest.mark.parametrize("drive", [pytest.param(DRIVES[key], id=key) for key in having])
+    return pytest.mark.parametrize("drive", [pytest.param(DRIVES[key], id=key, marks=marks_of(key)) for key in having])
 
 
 @pytest.fixture
@@ -662,11 +664,12 @@ def test_a_limit_that_the_device_refuses_stops_the_arming_with_the_torque_off(ma
     assert drive.off(rig)
 
 
+@sampled(6)
 @every()
-def test_a_message_lost_at_any_point_of_the_arming_leaves_no_torque(make: Make, drive: Drive) -> None:
+def test_a_message_lost_at_any_point_of_the_arming_leaves_no_torque(make: Make, drive: Drive, nth: int) -> None:
     rig = make(drive)
     rig.open().arm(drive.limits)
-    for place in range(0, rig.faults.replies, drive.step):
+    for place in range(0, rig.faults.replies, nth * drive.step):
         for fault in (DropReplies(after=place), DropRequests(after=place)):
             rig = make(drive)
             rig.faults.inject(fault)
@@ -714,9 +717,10 @@ def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(make: Make, drive: Dr
         assert sample.motor_torque > 0.0
 
 
+@sampled(7)
 @every()
-def test_a_late_reply_is_never_taken_for_the_answer_to_the_next_request(make: Make, drive: Drive) -> None:
-    for late in drive.lates:
+def test_a_late_reply_is_never_taken_for_the_answer_to_the_next_request(make: Make, drive: Drive, nth: int) -> None:
+    for late in drive.lates[::nth]:
         rig = make(drive)
         servo = armed(rig, drive, **dict(drive.patient))
         fresh = drive.fresh(rig, servo)
@@ -760,10 +764,13 @@ def test_a_second_drive_that_joins_the_bus_in_the_run_is_noticed(make: Make, dri
         tick(rig, drive, servo)
 
 
+@sampled(5)
 @every()
-def test_whatever_happens_to_the_messages_no_sample_is_old_and_torque_off_works(make: Make, drive: Drive) -> None:
+def test_whatever_happens_to_the_messages_no_sample_is_old_and_torque_off_works(
+    make: Make, drive: Drive, nth: int
+) -> None:
     rng = np.random.default_rng(3)
-    rounds, ticks, accepted = 10, 60, 0
+    rounds, ticks, accepted = 10 // nth, 60, 0
     for _ in range(rounds):
         rig = make(drive)
         servo = armed(rig, drive, **dict(drive.patient))

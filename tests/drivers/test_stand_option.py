@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from sim_backend.wire.dynamixel.emulator import serve
 
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
@@ -26,6 +28,7 @@ watchdog = 1.0
 """
 
 
+@pytest.mark.study
 def test_the_contract_runs_against_the_stand_of_a_file(tmp_path: Path) -> None:
     path = tmp_path / "stand.toml"
     path.write_text(STAND.format(port=tmp_path / "ttyDXL"))

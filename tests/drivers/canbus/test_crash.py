@@ -38,7 +38,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-@pytest.mark.parametrize("kind", ["moteus", "mit", "cia402"])
+@pytest.mark.parametrize(
+    "kind", ["mit", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("moteus", "cia402"))]
+)
 def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
     bus = CanBus([])
     with slcan_line(tmp_path / "ttyCAN", bus) as line:

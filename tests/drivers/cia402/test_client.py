@@ -22,6 +22,7 @@ from sim_backend.wire.canbus.serve import CanServer
 from sim_backend.wire.cia402.device import FOLLOWING_ERROR, Cia402Device
 from sim_backend.wire.cia402.machine import Cia402State
 
+pytestmark = pytest.mark.study
 MODELS = ["epos4", "epos2", "generic"]
 
 
@@ -207,38 +208,6 @@ def test_a_reset_boots_and_brings_back_what_was_stored(network: Any, bus: Any) -
     assert node.sdo[0x1008].raw == bus.nodes[0].model.name
 
 
-def test_a_heartbeat_that_stays_away_is_a_latched_fault_on_time() -> None:
-    from sim_backend.wire.canbus.frames import CanFrame
-
-    device = Cia402Device()
-    device.objects.write(0x1016, 1, struct.pack("<I", 0x7F << 16 | 100))
-    device.advance(5.0)  # nothing is watched before the first beat
-    device.handle(CanFrame(0x77F, b"\x05"), 5.0)
-    device.advance(5.0999)
-    assert device.objects.get(0x1003) == 0
-    assert device.due() == pytest.approx(5.1)
-    (emcy,) = device.unasked(device.due())
-    assert struct.unpack_from("<HB", emcy.data) == (0x8130, 0x11)
-    assert device.machine.state is Cia402State.FAULT
-
-
-@pytest.mark.parametrize(
-    ("option", "state"),
-    [(6, Cia402State.QUICK_STOP_ACTIVE), (2, Cia402State.SWITCH_ON_DISABLED), (0, Cia402State.SWITCH_ON_DISABLED)],
-)
-def test_a_quick_stop_ends_as_its_option_code_says(option: int, state: Cia402State) -> None:
-    device = Cia402Device()
-    device.objects.put(0x6060, 0, 10)
-    device.objects.put(0x605A, 0, option)
-    for number, word in enumerate((0x06, 0x0F), 1):
-        device.objects.write(0x6040, 0, struct.pack("<H", word))
-        device.advance(0.1 * number)
-    assert device.motor.enabled
-    device.objects.write(0x6040, 0, struct.pack("<H", 0x02))
-    assert device.machine.state is state
-    assert device.motor.enabled == (state is Cia402State.QUICK_STOP_ACTIVE)
-
-
 def test_several_drives_answer_on_a_serial_adapter(tmp_path: Path) -> None:
     with serve(tmp_path / "ttyCAN", "generic", (1, 5)):
         net: Any = canopen.Network()
@@ -256,10 +225,3 @@ def test_several_drives_answer_on_a_serial_adapter(tmp_path: Path) -> None:
             net.add_node(ident, dictionary(Cia402Device("generic", ident), ident))
             assert net[ident].sdo[0x1018][4].raw == 0x62004410 + ident
         net.disconnect()
-
-
-def test_what_cannot_be_emulated_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="choose one of epos4"):
-        serve(tmp_path / "tty", "epos5")
-    with pytest.raises(ValueError, match="not 1 to 127"):
-        serve(tmp_path / "tty", "epos4", (0,))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import pytest
 
+from sim_backend.wire.can_families import cia402 as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.cia402.device import FOLLOWING_ERROR, Cia402Device
+from sim_backend.wire.cia402.machine import Cia402State
 
 OPERATIONAL = 0x01
 EPOS2 = {"disabled": 0x0140, "ready": 0x0121, "on": 0x0123, "enabled": 0x0137, "quick stop": 0x0117, "fault": 0x0108}
@@ -61,3 +64,40 @@ def test_a_drive_claims_the_mode_whose_objects_it_has_and_refuses_the_others(mod
     for other in (-1, -2, 3, 4, 6, 8, 9):
         assert written(device, 0x6060, struct.pack("<b", other), 1.2)[0] == 0x80
     assert read(device, 0x6061, 1.3) & 0xFF == mode & 0xFF
+
+
+def test_a_heartbeat_that_stays_away_is_a_latched_fault_on_time() -> None:
+    device = Cia402Device()
+    device.objects.write(0x1016, 1, struct.pack("<I", 0x7F << 16 | 100))
+    device.advance(5.0)  # nothing is watched before the first beat
+    device.handle(CanFrame(0x77F, b"\x05"), 5.0)
+    device.advance(5.0999)
+    assert device.objects.get(0x1003) == 0
+    assert device.due() == pytest.approx(5.1)
+    (emcy,) = device.unasked(device.due())
+    assert struct.unpack_from("<HB", emcy.data) == (0x8130, 0x11)
+    assert device.machine.state is Cia402State.FAULT
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [(6, Cia402State.QUICK_STOP_ACTIVE), (2, Cia402State.SWITCH_ON_DISABLED), (0, Cia402State.SWITCH_ON_DISABLED)],
+)
+def test_a_quick_stop_ends_as_its_option_code_says(option: int, state: Cia402State) -> None:
+    device = Cia402Device()
+    device.objects.put(0x6060, 0, 10)
+    device.objects.put(0x605A, 0, option)
+    for number, word in enumerate((0x06, 0x0F), 1):
+        device.objects.write(0x6040, 0, struct.pack("<H", word))
+        device.advance(0.1 * number)
+    assert device.motor.enabled
+    device.objects.write(0x6040, 0, struct.pack("<H", 0x02))
+    assert device.machine.state is state
+    assert device.motor.enabled == (state is Cia402State.QUICK_STOP_ACTIVE)
+
+
+def test_what_cannot_be_emulated_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="choose one of epos4"):
+        serve(tmp_path / "tty", "epos5")
+    with pytest.raises(ValueError, match="not 1 to 127"):
+        serve(tmp_path / "tty", "epos4", (0,))

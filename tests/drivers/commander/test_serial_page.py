@@ -31,6 +31,7 @@ def block(mark: str) -> str:
     return found[1]
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("busy_machine")
 def test_the_commands_of_the_page_run_on_its_stand_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -107,7 +107,7 @@ def test_packets_are_found_a_byte_at_a_time() -> None:
 
 def test_packets_are_found_between_junk_of_every_kind() -> None:
     rng = np.random.default_rng(7)
-    for _ in range(200):
+    for _ in range(50):
         junk = [bytes(rng.choice([0xFF, 0xFD, 0x00, 0x55, 0x01], size=int(rng.integers(0, 12)))) for _ in range(3)]
         stream = junk[0] + octets(PING_1) + junk[1] + octets(READ_POSITION) + junk[2] + 1100 * b"\0"
         sound = [frame.instruction for frame, _ in Framer(take_packet).feed(stream) if frame.sound]
@@ -116,7 +116,7 @@ def test_packets_are_found_between_junk_of_every_kind() -> None:
 
 def test_a_payload_survives_stuffing_both_ways_whatever_is_in_it() -> None:
     rng = np.random.default_rng(3)
-    for _ in range(3000):
+    for _ in range(500):
         payload = b"\x03" + bytes(rng.choice([0xFF, 0xFD, 0x00], size=int(rng.integers(1, 14))))
         sent = packet(1, payload)
         assert b"\xff\xff\xfd" not in sent[4:-2].replace(b"\xff\xff\xfd\xfd", b"")

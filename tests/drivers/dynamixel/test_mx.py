@@ -18,14 +18,7 @@ from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.faults import RESTARTED
 from drivers.dynamixel.models import POSITION_LSB, models
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
-from hil.acquisition import excitation
-from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.recorder import Recorder, tick_count
-from hil.recording.reader import Recording
-from hil.recording.writer import Header, RecordingWriter
-from hil.signals.prepare import prepare
-from hil.stand.file import parse
-from sim_backend.parameters import CouplingParameters, FixtureParameters
+from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
     MX_CHECKSUM,
@@ -184,6 +177,7 @@ def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any,
             port.closePort()
 
 
+@pytest.mark.study
 def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
     assert PACKETS.ping(port, 1) == (310, COMM_SUCCESS, 0)
@@ -255,19 +249,18 @@ def test_turns_are_counted_although_the_servo_does_not(make_rig: Make) -> None:
     assert 0 <= rig.device.get("present_position") < 4096
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: Make, sign: int) -> None:
+def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: Make) -> None:
     rig = make_rig("mx-106")
     rig.bus.devices[0] = soft("mx-106")
-    servo = rig.open(mode="extended-position", sign=sign)
+    servo = rig.open(mode="extended-position", sign=-1)
     before = servo.exchange(Command.rest()).motor_position
     servo.arm(LIMITS)
     resting = drive(rig, servo, Command.rest(), ticks=50)
     assert resting.motor_position == pytest.approx(before, abs=2 * POSITION_LSB)
     goal = before + 1.2 * TURN
-    last = drive(rig, servo, Command(Quantity.POSITION, goal), ticks=1000)
+    last = drive(rig, servo, Command(Quantity.POSITION, goal), ticks=800)
     assert last.motor_position == pytest.approx(goal, abs=0.02)
-    assert sign * rig.device.motor.position > 0.0
+    assert rig.device.motor.position < 0.0
 
 
 def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_back(make_rig: Make) -> None:
@@ -413,45 +406,3 @@ def test_the_wrong_model_is_refused_by_name(make_rig: Make) -> None:
 def test_what_an_mx_cannot_do_is_refused_in_the_stand_file(change: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         DynamixelConfig(port="p", model="mx-64", **change)
-
-
-STAND = """
-[stand]
-torque_stays_on_if_host_dies = true
-motor_inertia = 3.2e-6
-motor_damping = 1.6e-6
-[limits]
-torque = 1.5
-deflection = 1.5
-velocity = 60.0
-temperature = 65.0
-"""
-
-
-def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(make_rig: Make, tmp_path: Path) -> None:
-    kc, bc, kt, rate = 1.0, 0.02, 6.0 / 4.1, 400.0
-    coupling = CouplingParameters(stiffness=kc, damping=bc, coulomb_friction=0.0)
-    rig = make_rig("mx-64")
-    rig.bus.devices[0] = MxDevice("mx-64", parameters=joint_at_horn(MX_MODELS["mx-64"], coupling))
-    profile = excitation.make(
-        "chirp", Quantity.TORQUE, amplitude=0.6, default_amplitude=0.6, duration=4.0, band=(0.1, 10.0), rate=rate
-    )
-    stand = parse(STAND)
-    servo = rig.open(torque_constant=kt)
-    with RecordingWriter(tmp_path / "run.h5", Header(profile=profile.attributes()), tick_count(profile, rate)) as part:
-        outcome = Recorder(stand, servo, profile, rate, part).run(StopRequest())
-        servo.close()
-        part.finish(outcome.end_reason)
-    assert (outcome.end_reason, outcome.lost) == ("done", 0)
-    with Recording(tmp_path / "run.h5") as recording:
-        signals = prepare(recording, stand.stand)
-    design = np.column_stack([signals.motion.dtheta, signals.motion.dtheta_dot])
-    found, *_ = np.linalg.lstsq(design, signals.coupling_torque, rcond=None)
-    # half a count of current and of position, whatever their signs, and half a period of skew in Bc
-    worst = 0.5 * (kt * 4.5e-3 + kc * COUNT) * np.abs(np.linalg.pinv(design)).sum(axis=1)
-    assert worst[0] < 0.03 * kc
-    # the fixture gives in series with the cable: of the motor's way the cable takes this share (first order in w Bc/Kc)
-    share = FixtureParameters().stiffness / (FixtureParameters().stiffness + kc)
-    kc, bc = kc * share, bc * share**2
-    assert found[0] == pytest.approx(kc, abs=worst[0])
-    assert found[1] == pytest.approx(bc, abs=worst[1] + kc * 0.5 / rate)

@@ -22,6 +22,7 @@ from sim_backend.wire.dynamixel.device import OVERLOAD, DynamixelDevice
 from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.uart.pty_line import PtyLine
 
+pytestmark = pytest.mark.study
 PACKETS = Protocol2PacketHandler()
 
 

@@ -198,6 +198,7 @@ def test_the_emulators_tables_and_the_adapters_agree(name: str) -> None:
         assert (register.address, register.size) == items[renamed.get(key, key)]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("protocol", "model", "number"), [(0, "sts3215", 777), (1, "scs0009", 1284)])
 def test_the_vendors_sdk_reads_and_writes_the_emulator(
     tmp_path: Any, protocol: int, model: str, number: int, monkeypatch: pytest.MonkeyPatch

@@ -27,6 +27,7 @@ def commands() -> list[str]:
     return found[1].splitlines()
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("busy_machine")
 def test_the_session_of_the_page_gives_a_stiffness(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

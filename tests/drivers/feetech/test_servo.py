@@ -62,7 +62,7 @@ def test_position_mode_arms_without_a_jerk_and_follows(make_feetech: Make, model
     limits = Limits(0.2, 30.0, 60.0, (before - 1.0, before + 1.0))
     servo.arm(limits)
     assert drive(rig, servo, Command.rest()).motor_position == pytest.approx(before, abs=1e-9)
-    after = drive(rig, servo, position(before + 0.3), ticks=400).motor_position
+    after = drive(rig, servo, position(before + 0.3), ticks=200).motor_position
     assert after == pytest.approx(before + 0.3, abs=3 * servo.info.position_lsb)
     servo.close()
     assert not rig.motor.enabled
@@ -125,7 +125,7 @@ def test_a_goal_beyond_the_servos_own_limits_is_clipped_and_marked_and_multi_tur
     for name, value in (("max_position_limit", 0), ("phase", 0x1C)):
         rig.device.put(name, value)
     servo.arm(LIMITS)
-    last = drive(rig, servo, position(-0.5), ticks=400)
+    last = drive(rig, servo, position(-0.5), ticks=200)
     assert not last.status & Status.SATURATED
     assert rig.device.get("goal_position") == round(-0.5 / COUNT)
     assert last.motor_position == pytest.approx(-0.5, abs=4 * COUNT)
@@ -187,7 +187,7 @@ def test_a_torque_off_that_is_not_done_is_followed_by_a_torque_limit_of_zero_tha
     rig = make_feetech("sts3215")
     servo = rig.open()
     servo.arm(LIMITS)
-    drive(rig, servo, position(0.5), ticks=400)
+    drive(rig, servo, position(0.5), ticks=200)
     assert rig.motor.torque > 0.0
     rig.device.ignores_torque_off = True
     servo.close()
@@ -213,7 +213,7 @@ def test_a_servo_left_alone_under_overload_reduces_its_torque_by_itself(make_fee
     servo = rig.open()
     rig.device.write(TORQUE_ENABLE, b"\x80")
     servo.arm(LIMITS)
-    drive(rig, servo, position(math.pi + 2.5), ticks=1000)
+    drive(rig, servo, position(math.pi + 2.5), ticks=400)
     assert rig.motor.torque > 1.2 * 0.0294
     rig.device.fail(32)
     rig.wait(0.5)

@@ -1,20 +1,12 @@
-"""The modes, the telemetry and the zero of an emulated moteus, byte by byte and with the vendor's tool."""
+"""The modes, the telemetry and the zero of an emulated moteus, byte by byte."""
 
 from __future__ import annotations
 
-import asyncio
-import json
 import math
 import struct
-import subprocess
-import sys
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-from sim_backend.wire.can_families import moteus as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.moteus.command import (
     BRAKE,
@@ -27,9 +19,6 @@ from sim_backend.wire.moteus.command import (
     ZERO_VELOCITY,
 )
 from sim_backend.wire.moteus.device import FAULT, NOT_CONFIGURED, STOPPED, MoteusDevice
-from sim_backend.wire.uart.pty_line import PtyLine
-
-moteus: Any = pytest.importorskip("moteus")
 
 
 def commanded(device: MoteusDevice, mode: int, now: float, *registers: tuple[int, float]) -> None:
@@ -122,54 +111,3 @@ def test_a_limit_of_acceleration_makes_a_triangle_of_the_speed() -> None:
 def test_without_limits_a_position_is_commanded_at_once() -> None:
     device = running(POSITION, (0x20, 0.1), (0x27, 1.0))
     assert asked(device, 0x00B, 0.01) == 1.0
-
-
-@pytest.fixture
-def line(tmp_path: Path) -> Iterator[PtyLine]:
-    with serve(tmp_path / "ttyCAN") as served:
-        assert isinstance(served, PtyLine)
-        yield served
-
-
-def tool(line: PtyLine, *arguments: str) -> str:
-    """Run the vendor's moteus_tool in a process of its own."""
-    bus = ["--force-transport", "pythoncan", "--can-iface", "slcan", "--can-chan", str(line.link)]
-    command = [sys.executable, "-m", "moteus.moteus_tool", *bus, "-t", "1", *arguments]
-    return subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
-
-
-def test_the_vendors_tool_shows_what_it_is_and_its_channels(line: PtyLine) -> None:
-    info = json.loads(tool(line, "--info"))
-    assert info["git_hash"] == "0" * 40
-    assert json.loads(tool(line, "--read", "firmware"))["version"] == 0x010100
-    assert json.loads(tool(line, "--read", "servo_stats"))["mode"] == STOPPED
-
-
-def test_the_vendors_tool_sets_the_zero(line: PtyLine) -> None:
-    tool(line, "--zero-offset")
-    assert abs(json.loads(tool(line, "--read", "servo_stats"))["position"]) < 1e-3
-
-
-def test_the_vendors_client_uses_every_mode() -> None:
-    async def session() -> None:
-        transport = moteus.PythonCan(interface="virtual", channel="test_moteus_modes")
-        controller = moteus.Controller(id=1, transport=transport)
-        register, mode = moteus.Register, moteus.Mode
-
-        async def reached(command: Any, **options: Any) -> Any:
-            await controller.set_stop()
-            for _ in range(5):
-                result = await command(query=True, **options)
-            return result.values[register.MODE]
-
-        assert await reached(controller.set_current, d_A=0.0, q_A=1.0) == mode.CURRENT
-        assert await reached(controller.set_zero_velocity) == mode.ZERO_VELOCITY
-        assert await reached(controller.set_brake) == mode.BRAKE
-        within = {"lower_bound": -0.5, "upper_bound": 0.5, "watchdog_timeout": 5.0}
-        assert await reached(controller.set_stay_within, **within) == mode.STAY_WITHIN
-        assert await reached(controller.set_vfoc, theta=0.0, voltage=0.1) == mode.FAULT
-        await controller.set_stop()
-        transport.close()
-
-    with serve("test_moteus_modes", interface="virtual"):
-        asyncio.run(asyncio.wait_for(session(), 30.0))

@@ -100,7 +100,7 @@ def test_every_resolution_survives_both_codecs(kind: int) -> None:
 def test_no_received_bytes_crash_the_decoder() -> None:
     rng = np.random.default_rng(7)
     good = bytes.fromhex("2f0100000000000000000000000021000a2907000000005050")
-    for _ in range(4000):
+    for _ in range(1000):
         data = bytearray(good[: int(rng.integers(len(good) + 1))])
         for place in rng.integers(max(len(data), 1), size=3):
             if data:

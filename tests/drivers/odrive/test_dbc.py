@@ -11,8 +11,7 @@ from drivers.odrive.messages import Codec, Layout, messages
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.odrive.device import OdriveDevice
 
-cantools = pytest.importorskip("cantools")
-pytest.importorskip("odrive_can", reason="the package that ships the DBC files")
+pytestmark = pytest.mark.study
 
 NODE = 3
 SETS = {
@@ -24,6 +23,8 @@ SETS = {
 
 
 def database(layout: str) -> dict[str, Any]:
+    cantools = pytest.importorskip("cantools")
+    pytest.importorskip("odrive_can", reason="the package that ships the DBC files")
     firmware = {"0.5": "0.5.6", "0.6": "0.6.10"}[layout]
     with as_file(files("odrive_can") / "dbc" / f"odrive-cansimple-{firmware}.dbc") as path:
         found = cantools.database.load_file(path, strict=False)
