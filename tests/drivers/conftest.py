@@ -346,7 +346,15 @@ def simulated(_: Path) -> Iterator[tuple[Servo, Limits]]:
 
 IN_REAL_TIME = {"dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
 OTHERS = {"sim": simulated, **IN_REAL_TIME}
-VARIANTS = {"feetech sts", "odrive 0.5.6", "odrive with endpoints", "mit ak80-9", "cia402 epos2", "cia402 generic"}
+VARIANTS = {
+    "feetech sts",
+    "feetech sts in position",
+    "odrive 0.5.6",
+    "odrive with endpoints",
+    "mit ak80-9",
+    "cia402 epos2",
+    "cia402 generic",
+}
 """Drives of which a sibling stands for them before each commit."""
 
 

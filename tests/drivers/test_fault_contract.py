@@ -664,7 +664,7 @@ def test_a_limit_that_the_device_refuses_stops_the_arming_with_the_torque_off(ma
     assert drive.off(rig)
 
 
-@sampled(6)
+@sampled(8)
 @every()
 def test_a_message_lost_at_any_point_of_the_arming_leaves_no_torque(make: Make, drive: Drive, nth: int) -> None:
     rig = make(drive)
@@ -717,7 +717,7 @@ def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(make: Make, drive: Dr
         assert sample.motor_torque > 0.0
 
 
-@sampled(7)
+@sampled(10)
 @every()
 def test_a_late_reply_is_never_taken_for_the_answer_to_the_next_request(make: Make, drive: Drive, nth: int) -> None:
     for late in drive.lates[::nth]:

@@ -11,6 +11,9 @@ from hil.acquisition.phases import Phase
 from .conftest import benchmark
 
 NAMES = ("dynamixel", "moteus", "cia402", "commander")
+KINDS = ("ignored-off", "kill", "disk-full", "disk-frozen")
+CELLS = [("dynamixel", kind) for kind in KINDS] + [(name, kind) for name in NAMES[1:] for kind in KINDS[:2]]
+DISKS = [(name, kind) for name in NAMES[1:] for kind in KINDS[2:]]
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +27,7 @@ def middle(faults: Any) -> dict[str, float]:
     return {name: faults.moments(faults.ADAPTERS[name])[Phase.RUN] for name in NAMES}
 
 
-@pytest.mark.parametrize("kind", ["ignored-off", "kill", "disk-full", "disk-frozen"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "kind"), [*CELLS, *(pytest.param(*cell, marks=pytest.mark.study) for cell in DISKS)])
 def test_no_torque_stays_on_without_the_alarm(faults: Any, middle: dict[str, float], name: str, kind: str) -> None:
     cell = faults.judged(faults.ADAPTERS[name], kind, middle[name], Phase.RUN)
     assert cell.ended

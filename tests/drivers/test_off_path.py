@@ -50,7 +50,7 @@ def test_the_frames_switch_the_torque_off_without_a_reply(name: str) -> None:
     wired.servo.close()
 
 
-@sampled(4)
+@sampled(6)
 @pytest.mark.parametrize("name", SERIAL)
 def test_a_request_that_was_cut_off_anywhere_does_not_hide_the_second_sending(name: str, nth: int) -> None:
     for cut in range(1, 24, nth):
