@@ -13,7 +13,7 @@ import hil
 from hil.cli.app import run
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
-BLOCK = re.compile(r"<!-- (run|write (\S+)) -->\n```\w+\n(.+?)\n```", re.DOTALL)
+BLOCK = re.compile(r"<!-- (run|python|write (\S+)) -->\n```\w+\n(.+?)\n```", re.DOTALL)
 WITH_COMMANDS = sorted(page.name for page in DOCS.glob("*.md") if BLOCK.search(page.read_text(encoding="utf-8")))
 
 
@@ -23,9 +23,12 @@ def test_the_commands_of_a_page_run_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # half of the time, and the README's is drawn
-    for _, written, text in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
+    for mark, written, text in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
         if written:
             Path(written).write_text(text + "\n", encoding="utf-8")
+            continue
+        if mark == "python":
+            exec(compile(text, page, "exec"), {})  # noqa: S102 - our own page
             continue
         for command in text.splitlines():
             assert run(shlex.split(command)[1:]) == 0, command
