@@ -14,6 +14,14 @@ from hypothesis import settings
 
 from hil.recording import writer
 
+from .budget import (  # noqa: F401 - hooks  # noqa: F401 - hooks
+    pytest_runtest_logreport,
+    pytest_runtest_makereport,
+    pytest_runtest_setup,
+    pytest_sessionfinish,
+    pytest_terminal_summary,
+)
+
 # every core has a worker of its own: more threads of linear algebra than that only wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 

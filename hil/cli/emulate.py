@@ -17,6 +17,8 @@ from hil.errors import WrongUse, proposing
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from sim_backend.fault_plan import FaultPlan
+    from sim_backend.parameters import SimParameters
     from sim_backend.wire.torque_log import TorqueLog
 
 
@@ -60,16 +62,9 @@ def emulate(
         return
     words: dict[str, Any] = {"model": model, "idents": ident, "link": link, "bus": bus, "channel": channel}
     words |= {"firmware": firmware, "baudrate": baudrate, "instant": instant or None}
+    words |= {"parameters": _plant(stand), "faults": _plan(faults)}
     given = {key: value for key, value in words.items() if value not in (None, [])}
     place = next((f" on {given[key]}" for key in ("link", "channel", "bus") if key in given), "")
-    if stand is not None:
-        from hil.stand.file import load
-
-        given["parameters"] = load(stand).simulated()
-    if faults is not None:
-        from hil.stand.fault_file import load_plan
-
-        given["faults"] = load_plan(faults)
     if log is not None:
         given["log"] = _torque_log(log)
     try:
@@ -87,6 +82,18 @@ def emulate(
         say(f"{what} Ctrl-C to stop.")
         served.serve()
     say("ended")
+
+
+def _plant(stand: Path | None) -> SimParameters | None:
+    from hil.stand.file import load
+
+    return None if stand is None else load(stand).simulated()
+
+
+def _plan(faults: Path | None) -> FaultPlan | None:
+    from hil.stand.fault_file import load_plan
+
+    return None if faults is None else load_plan(faults)
 
 
 def _copied(stop: Callable[[], None]) -> int | None:
