@@ -25,33 +25,15 @@ from .source import modules
 PAGES = page_names()
 NOT_RUN = {
     "python3 -m venv": ".ci/run installs what it tests, and would install it again for each page",
-    "sudo ip link": "needs a CAN adapter, and root",
-    "pip install examples/": "would change this environment; test_plugins.py installs the package elsewhere",
     "```mermaid": "is a picture",
-    "```text": "is an output, or commands that need root and a CAN adapter",
+    "```text": "is an output, or needs root and an adapter, or would change this environment",
     "```cpp": "needs a board",
     "```matlab": "needs MATLAB",
     "```julia": "needs Julia",
     "docs/extending.md ```python": "are parts of a module; test_extending.py puts each in its place",
 }
 """Blocks that are not run, by the beginning of their text, or by language, and why."""
-_RECORD = "hil record --quiet --backend sim --duration 4 --fade 0.2"
-_HAND = f"awk '/[[]joint[]]/ {{ n++ }} n < 3' {shlex.quote(str(ROOT))}/examples/hand.toml"
-_STAND = 'stand = {backend = "sim", gear_ratio = 4.0, motor_inertia = 2e-7, torque_source = "joint"}'
-_LIMITS = "limits = {torque = 0.03, deflection = 1.5, velocity = 100.0}"
-BEFORE = {
-    "README.md": f"""
-        {_HAND} > hand.toml
-        {_RECORD} --seed 1 -o monday.h5
-        {_RECORD} --seed 2 -o tuesday.h5
-        mkdir recordings && cp *.h5 recordings
-        echo t,tau,angle > log.csv && for i in $(seq 50); do echo 0.0$((10 + i)),$((i % 7)),$((i % 5)) >> log.csv; done
-    """,
-    "docs/campaigns.md": f"mkdir examples && {_HAND} > examples/hand.toml",
-    "docs/data.md": f"for n in a b c; do {_RECORD} --seed 1 -o $n.h5; done",
-    "docs/file_format.md": f"{_RECORD} -o run1.h5",
-    "docs/calibration.md": f"printf '%s\\n' '{_STAND}' '{_LIMITS}' > stand.toml && {_RECORD} -o run.h5",
-}
+BEFORE = {"docs/file_format.md": "hil record --quiet --backend sim --duration 4 --fade 0.2 -o run1.h5"}
 """What a page's reader has in the folder, beside what the page lets them write."""
 
 
