@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent.parent
+pytestmark = pytest.mark.study
 BENCH = ("cma", "cmaes", "deap", "pygad", "pymoo")
 
 

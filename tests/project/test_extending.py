@@ -189,7 +189,7 @@ def with_seventh(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    time = np.arange(0.0, 12.0, 0.002)
+    time = np.arange(0.0, 6.0, 0.002)
     angle = 0.4 * np.sin(2.0 * np.pi * 0.7 * time) + 0.2 * np.sin(2.0 * np.pi * 2.9 * time)
     rate = np.gradient(angle, time)
     noise = np.random.default_rng(1).normal(0.0, 1e-4, time.size)

@@ -54,7 +54,7 @@ def changed(draw: st.DrawFn, seeds: tuple[bytes, ...], *, is_text: bool) -> byte
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_changed_bytes_are_read_or_declined_in_a_sentence(parsers: Any, name: str, data: st.DataObject) -> None:
     parser = parsers.PARSERS[name]
@@ -63,7 +63,7 @@ def test_changed_bytes_are_read_or_declined_in_a_sentence(parsers: Any, name: st
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name.startswith("dynamixel")])
 @given(data=st.data())
-@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_reply_with_up_to_three_changed_bits_is_never_taken_for_another(
     parsers: Any, name: str, data: st.DataObject
 ) -> None:

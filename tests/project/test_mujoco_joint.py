@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 STEP, KC, BC = 1e-4, 0.3, 3e-3
 
+pytestmark = pytest.mark.study
 pytest.importorskip("mujoco", reason="MUJOCO AS A SOURCE NOT TESTED: mujoco is not installed")
 
 

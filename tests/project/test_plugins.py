@@ -84,6 +84,7 @@ def test_models_are_listed_with_their_package_and_broken_ones_with_the_reason(hi
     assert "skipped" in lines["bent"]
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("packages")
 def test_a_stand_with_the_drive_of_another_package_is_recorded_and_identified_with_its_models(
     hil: Hil,  # noqa: F811

@@ -19,6 +19,7 @@ from scipy.interpolate import make_interp_spline
 
 from hil.recording.reader import Recording
 
+pytestmark = pytest.mark.study
 BENCHMARKS = Path(__file__).parent.parent.parent / "benchmarks"
 KC, BC, NOISE = 17.75e-3, 0.19e-3, 0.2e-3
 PRESCRIBED = ["clean", "encoder", "skew", "coulomb", "backlash", "cubic", "drops", "outliers", "all at once"]
