@@ -92,8 +92,9 @@ def recordings_are_quick(request: pytest.FixtureRequest, monkeypatch: pytest.Mon
 @pytest.fixture
 def busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a run in real time go on, and end well, where other work on this machine makes its ticks late."""
-    monkeypatch.setattr("hil.acquisition.guard._LATE_RAMP", 1.0)
-    monkeypatch.setattr("hil.acquisition.guard._LATE_OFF", 1.0)
+    monkeypatch.setattr("hil.acquisition.guard._LATE_RAMP", 60.0)
+    monkeypatch.setattr("hil.acquisition.guard._LATE_OFF", 60.0)
+    monkeypatch.setattr("hil.acquisition.recorder._TOO_LONG", 60.0)
     monkeypatch.setattr("hil.diagnostics._MOSTLY_LATE", 1.0)
 
 

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import sys
+import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -146,6 +150,31 @@ def edited(path: Path) -> Iterator[h5py.File]:
         texts = (group["code"].asstr()[()].tolist(), group["message"].asstr()[()].tolist())
         events = list(zip(group["time"][()].tolist(), *texts, strict=True))
         file.attrs["sha256_header"] = header_hash(plain(file.attrs), plain(file["profile"].attrs), truth, events)
+
+
+def copied(work: Callable[[], int | None]) -> int:
+    """Start a copy of this process that does `work` and ends with the status it returns; return its process id.
+
+    A new process would import hil first, which takes a second.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads: the copy uses none of theirs
+        child = os.fork()
+    if child:
+        return child
+    status = 120
+    try:
+        status = work() or 0
+    except BaseException:  # noqa: BLE001 - nothing of it may go on as a second pytest
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        os._exit(status)
+
+
+def exit_status(child: int) -> int:
+    """Wait for a copy to end. Return its exit status, or the negative number of the signal that killed it."""
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 class Ended(NamedTuple):

@@ -58,12 +58,13 @@ def test_a_message_about_a_recording_names_no_option_of_hil_record_but_by_again(
     assert named == []
 
 
-@pytest.mark.parametrize("kind", ["imported", "sine"])
-@pytest.mark.parametrize("model", ["linear", "linear+coulomb", "auto"])
+@pytest.mark.parametrize(
+    ("kind", "model"), [("imported", "linear"), ("sine", "linear+coulomb"), ("imported", "auto"), ("sine", "auto")]
+)
 def test_advice_about_a_slow_sine_is_in_words_and_names_options_where_there_are_any(
     tmp_path: Path, kind: str, model: str
 ) -> None:
-    time, noise = np.arange(4000) / 200.0, 1e-4 * np.random.default_rng(0).standard_normal(4000)
+    time, noise = np.arange(1000) / 50.0, 1e-4 * np.random.default_rng(0).standard_normal(1000)
     dtheta, rate = 0.2 * np.sin(0.3 * time), 0.06 * np.cos(0.3 * time)
     channels = {"time": time, "torque": 0.02 * dtheta + 2e-5 * rate + noise, "dtheta": dtheta}
     write(tmp_path / "a.h5", Header(profile={"kind": kind}, stand_toml=""), channels)

@@ -88,8 +88,9 @@ def test_a_changed_byte_of_a_recording_is_noticed_or_has_no_effect() -> None:
 @pytest.mark.parametrize(("adapter", "signal"), [("dynamixel X, no watchdog", "KILL"), ("odrive, no watchdog", "STOP")])
 def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog(adapter: str, signal: str) -> None:
     # runs in real time, since a process can only be killed there
+    words = ["--times", "1", "--patient", "--adapter", adapter, "--signal", signal]
     done = subprocess.run(
-        [sys.executable, "benchmarks/killing.py", "--times", "1", "--adapter", adapter, "--signal", signal],
+        [sys.executable, "benchmarks/killing.py", *words],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,

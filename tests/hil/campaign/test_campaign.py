@@ -50,6 +50,11 @@ stiffness = 0.03
 """
 
 
+@pytest.fixture(autouse=True)
+def nothing_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")
+
+
 @pytest.fixture
 def plan(tmp_path: Path) -> Path:
     path = tmp_path / "plan.toml"
@@ -58,7 +63,7 @@ def plan(tmp_path: Path) -> Path:
 
 
 def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats_what_is_done(
-    hil: Hil, plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    hil: Hil, plan: Path, tmp_path: Path
 ) -> None:
     found = hil("campaign", plan, "--json").json
     assert [line["joint"] for line in found["joints"]] == ["soft", "stiff"]
@@ -71,7 +76,6 @@ def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats
     recordings = sorted((tmp_path / "out").glob("*.h5"))
     before = {path: path.stat().st_mtime_ns for path in recordings}
     assert len(recordings) == 4
-    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawn once is enough
     recordings[0].unlink()  # one is missing: only this one is recorded again
     again = hil("campaign", plan, "--json")
     after = {path: path.stat().st_mtime_ns for path in recordings}

@@ -182,9 +182,9 @@ def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -
     data = make_recording("a.h5", samples=64).read_bytes()
     generator = random.Random(1)  # noqa: S311 - no secret
     seen = set()
-    for _ in range(12):
+    for count in (0, 1, 4, 8, 64):
         damaged = bytearray(data)
-        for _ in range(generator.choice([0, 1, 4, 8, 64])):
+        for _ in range(count):
             damaged[generator.randrange(len(data))] = generator.randrange(256)
         Path("m.h5").write_bytes(damaged)
         for words in (("inspect", "m.h5"), ("recover", "m.h5", "-o", "r.h5", "--force")):
@@ -210,7 +210,7 @@ def test_a_stiff_simulated_stand_is_said_to_be_slow(hil: Hil) -> None:
 
 
 def test_a_name_is_shown_as_it_is(hil: Hil) -> None:
-    assert hil(*SIM, "--duration", "3", "-o", "[red]a.h5")[0] == 0
+    assert hil(*SIM, "-o", "[red]a.h5")[0] == 0
     assert "[red]a.h5: chirp, done" in hil("inspect", "[red]a.h5")[1]
 
 
@@ -247,11 +247,10 @@ def test_a_file_name_that_is_no_text_is_shown(hil: Hil) -> None:
     assert (status, "a\\udcff.h5 cannot be opened" in err) == (2, True)
 
 
-@pytest.mark.parametrize("words", ["inspect a.h5", "inspect a.h5 --json"])
-def test_a_reader_that_has_seen_enough_is_no_error(make_recording: Maker, words: str) -> None:
+def test_a_reader_that_has_seen_enough_is_no_error(make_recording: Maker) -> None:
     make_recording("a.h5", noise=1e-4)
     code = "import sys; from hil.cli.app import main; sys.argv = ['hil', *sys.argv[1:]]; main()"
-    command = [sys.executable, "-W", "ignore", "-c", code, *words.split()]
+    command = [sys.executable, "-W", "ignore", "-c", code, "inspect", "a.h5"]
     here = {"PYTHONPATH": str(Path(hil_package.__file__).parent.parent)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=os.environ | here) as process:
         assert process.stdout is not None
@@ -292,9 +291,9 @@ def test_only_ordinary_files_are_read(hil: Hil, name: str) -> None:
 
 def test_a_line_without_end_is_not_read_whole(hil: Hil) -> None:
     with gzip.open("a.csv.gz", "wb", compresslevel=1) as file:
-        for _ in range(16):
+        for _ in range(4):
             file.write(b"1,2," * (1 << 18))
-    Path("b.csv").write_text("t,q,p\n" + "1," * (1 << 20))
+    Path("b.csv").write_text("t,q,p\n" + "1," * (1 << 18))
     for name in ("a.csv.gz", "b.csv"):
         status, _, err = hil("import", name, "--time", "t", "--torque", "q", "--dtheta", "p", "-o", "b.h5")
         assert (status, "fault in hil" in err) == (2, False)
@@ -335,11 +334,10 @@ def test_a_gear_that_nobody_builds_is_wrong_use(hil: Hil, ratio: str) -> None:
     assert (status, "stand.gear_ratio" in err) == (2, True)
 
 
-@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
-def test_a_run_whose_standard_files_are_closed_records_as_any_other(tmp_path: Path, closed: str) -> None:
+def test_a_run_whose_standard_files_are_closed_records_as_any_other(tmp_path: Path) -> None:
     """The files that a run opens must not take their numbers: other processes are given those anew."""
     words = "record --backend sim --realtime --profile sine --duration 0.2 --rate 100 -o a.h5"
-    command = f'exec "{sys.executable}" -m hil {words} {closed}'
+    command = f'exec "{sys.executable}" -m hil {words} <&- >&- 2>&-'
     ended = subprocess.run(["sh", "-c", command], cwd=tmp_path, check=False, capture_output=True)
     assert ended.returncode == 0, ended.stderr
     with Recording(tmp_path / "a.h5") as recording:

@@ -87,10 +87,10 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
 @pytest.mark.parametrize(
     ("name", "scale", "table"),
     [
-        ("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000"),
+        pytest.param("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000", marks=pytest.mark.study),
         ("mit", 100.0, 'model = "dm-j4310"'),
-        ("moteus", 20.0, ""),
-        ("cia402", 2.0, 'profile = "epos4"'),
+        pytest.param("moteus", 20.0, "", marks=pytest.mark.study),
+        pytest.param("cia402", 2.0, 'profile = "epos4"', marks=pytest.mark.study),
     ],
 )
 def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: str, scale: float, table: str) -> None:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,7 @@ from typing import Any
 import pytest
 import typer.main
 
-from hil.cli.app import app
+from hil.cli.app import app, run
 from hil.cli.examples import EXAMPLES, STATUSES
 
 from ..conftest import Hil, Maker
@@ -56,6 +53,7 @@ def test_the_help_lists_every_exit_status(hil: Hil) -> None:
     shown = hil("--help").out
     for status in STATUSES:
         assert f"  {status}\n" in f"{shown}\n"
+    assert "--install-completion" in shown
 
 
 def test_the_version_is_that_of_the_package(hil: Hil) -> None:
@@ -66,7 +64,7 @@ def test_quiet_prints_the_answer_alone_wherever_it_stands(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawing takes longer than all the rest
-    path = make_recording(noise=1e-4)
+    path = make_recording(noise=1e-4, samples=500)
     plain = hil("identify", path, "--model", "linear", "--trials", 1)
     for words in (("--quiet", "identify", path), ("identify", path, "--quiet", "--report", "r.html")):
         quiet = hil(*words, "--model", "linear", "--trials", 1)
@@ -85,10 +83,10 @@ def test_quiet_keeps_the_errors(hil: Hil, make_recording: Maker) -> None:
 def test_the_stand_file_of_the_folder_is_used_and_said(hil: Hil) -> None:
     assert "which stand?" in hil("record").err
     hil("stand", "new", "--yes", "--backend", "sim")
-    ended = hil("record", "--duration", 2, "--fade", 0.2, "-o", "a.h5")
+    ended = hil("record", "--duration", 1, "--fade", 0.2, "-o", "a.h5")
     assert ended.status == 0
     assert "using stand.toml" in ended.err
-    assert "using" not in hil("record", "--backend", "sim", "--duration", 2, "--fade", 0.2, "-o", "b.h5").err
+    assert "using" not in hil("record", "--backend", "sim", "--duration", 1, "--fade", 0.2, "-o", "b.h5").err
 
 
 def test_a_new_stand_refuses_a_wrong_drive_before_it_asks_for_more(hil: Hil) -> None:
@@ -113,22 +111,14 @@ def test_a_misspelt_profile_is_guessed(hil: Hil, name: str) -> None:
     assert "did you mean" in hil("record", "--backend", "sim", "--profile", name).err
 
 
-def test_the_shell_completes_commands_and_options() -> None:
+@pytest.mark.parametrize(("typed", "expected"), [("hil ide", ["identify"]), ("hil inspect --ver", ["--verify"])])
+def test_the_shell_completes_commands_and_options(
+    typed: str, expected: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     """As the script that --install-completion writes asks for it."""
-    for typed, expected in (("hil ide", ["identify"]), ("hil inspect --ver", ["--verify"])):
-        asked = subprocess.run(
-            [sys.executable, "-m", "hil"],
-            env=os.environ
-            | {"_HIL_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": f"{typed.count(' ')}"},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=60,
-        )
-        assert asked.stdout.split() == expected
-    assert (
-        "--install-completion"
-        in subprocess.run(
-            [sys.executable, "-m", "hil", "--help"], capture_output=True, text=True, check=True, timeout=60
-        ).stdout
-    )
+    asked = {"_HIL_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": f"{typed.count(' ')}"}
+    for name, value in asked.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        run([])
+    assert capfd.readouterr().out.split() == expected

@@ -45,13 +45,7 @@ COMMANDS: dict[str, list[tuple[tuple[str, ...], str]]] = {  # words with @ for t
     "calibrate": [(("calibrate", "zero", "@"), ".toml")],
 }
 WITHOUT_INPUT = {"demo", "emulate", "replicate", "stand"}
-CASES = [
-    (words, f"{kind}{suffix}")
-    for rows in COMMANDS.values()
-    for words, suffixes in rows
-    for suffix in suffixes.split()
-    for kind in ("missing", "folder", "empty", "junk")
-]
+CASES = [(words, suffix) for rows in COMMANDS.values() for words, suffixes in rows for suffix in suffixes.split()]
 
 
 def wrong_input(name: str) -> None:
@@ -63,21 +57,23 @@ def wrong_input(name: str) -> None:
         path.write_bytes(bytes(range(256)) * 40 if path.name.startswith("junk") else b"")
 
 
-@pytest.mark.parametrize(("words", "name"), CASES, ids=lambda value: value if isinstance(value, str) else value[0])
+@pytest.mark.parametrize(("words", "suffix"), CASES, ids=lambda value: value if isinstance(value, str) else value[0])
 def test_a_wrong_input_is_one_sentence_of_our_own(
-    hil: Hil, tmp_path: Path, make_recording: Maker, words: tuple[str, ...], name: str
+    hil: Hil, tmp_path: Path, make_recording: Maker, words: tuple[str, ...], suffix: str
 ) -> None:
     if "good.h5" in words:
         make_recording("good.h5", samples=300, noise=1e-5)
     Path("good.csv").write_text("t [s],q [N*m],a [rad]\n0,1,2\n1,2,3\n")
-    wrong_input(name)
-    before = sorted(path.name for path in tmp_path.iterdir())
-    status, out, err = hil(*(word.replace("@", name) for word in words))
-    assert (status, out) == (2, "")
-    assert err.strip()
-    assert not FOREIGN.search(err), err
-    assert name in err
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    for kind in ("missing", "folder", "empty", "junk"):
+        name = kind + suffix
+        wrong_input(name)
+        before = sorted(path.name for path in tmp_path.iterdir())
+        status, out, err = hil(*(word.replace("@", name) for word in words))
+        assert (status, out) == (2, ""), name
+        assert err.strip()
+        assert not FOREIGN.search(err), err
+        assert name in err
+        assert sorted(path.name for path in tmp_path.iterdir()) == before
 
 
 def test_every_command_has_a_row() -> None:

@@ -253,6 +253,7 @@ def test_a_load_within_the_noise_decides_nothing() -> None:
     assert Load(noisy, noisy).left([sample(0.0, 0.0)]).releases is None
 
 
+@pytest.mark.study
 def test_a_broken_watchdog_is_the_first_line_and_status_1_and_the_guardian_was_tried(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], busy_machine: None
 ) -> None:

@@ -37,17 +37,21 @@ def result(**changes: Any) -> dict[str, Any]:
     return table | {"parameters": found, "warnings": [], "errors": []} | changes
 
 
+@pytest.mark.study
 def test_mujoco_reads_the_model(tmp_path: Path) -> None:
-    mujoco = pytest.importorskip("mujoco", reason="MUJOCO NOT TESTED: mujoco is missing, pip install '.[test]'")
+    import mujoco
+
     export_coupling(COUPLING, tmp_path / "a.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "a.xml"))
     found = (np.ravel(model.jnt_stiffness)[0], np.ravel(model.dof_damping)[0], np.ravel(model.dof_frictionloss)[0])
     assert found == (KC, BC, FC)
 
 
+@pytest.mark.study
 def test_a_mujoco_model_that_is_simulated_and_recorded_gives_its_kc_and_bc_again(hil: Hil, tmp_path: Path) -> None:
     """The motor's torque through equation (1), as from a real drive without a torque cell."""
-    mujoco = pytest.importorskip("mujoco", reason="MUJOCO NOT TESTED: mujoco is missing, pip install '.[test]'")
+    import mujoco
+
     (tmp_path / "result.json").write_text(json.dumps(result()))
     assert hil("export", "result.json", "-o", "finger.xml")[:2] == (
         0, "finger.xml: Kc 0.01775 N m/rad, Bc 0.00019 N m s/rad (linear)\n",

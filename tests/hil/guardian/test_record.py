@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,14 +75,18 @@ def rows_in(path: Path) -> int:
 def test_a_run_whose_guardian_is_killed_ends_with_the_torque_off_and_its_rows(
     record: Callable[..., int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    over = threading.Event()
+
     def kill() -> None:
-        while not rows_in(tmp_path / "a.h5.part"):
-            time.sleep(0.05)
-        os.kill(guardians()[0], signal.SIGKILL)
+        while not rows_in(tmp_path / "a.h5.part") and not over.wait(0.05):
+            pass
+        for guardian in guardians():
+            os.kill(guardian, signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()
     status = record("--duration", "30")
+    over.set()
     killer.join()
     assert status == 3
     assert "hil: the guardian process ended with status -9: nothing would switch" in capfd.readouterr().err

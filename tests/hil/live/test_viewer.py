@@ -205,7 +205,7 @@ class Terminal:
             os.close(self._slave)
 
 
-RUN = ["record", "--backend", "sim", "--realtime", "--duration", "30", "--band", "0.5:5", "-o", "a.h5"]
+RUN = ["record", "--backend", "sim", "--realtime", "--duration", "60", "--rate", "100", "--band", "0.5:5", "-o", "a.h5"]
 
 
 def test_a_key_ends_the_run_softly_and_the_terminal_is_as_it_was(tmp_path: Path) -> None:
@@ -221,6 +221,7 @@ def test_a_key_ends_the_run_softly_and_the_terminal_is_as_it_was(tmp_path: Path)
     assert (tmp_path / "a.h5").exists()
 
 
+@pytest.mark.study
 def test_a_terminal_without_colours_and_unicode_gets_plain_ascii(tmp_path: Path) -> None:
     terminal = Terminal(RUN, tmp_path, NO_COLOR="1", PYTHONIOENCODING="ascii", LC_ALL="C")
     try:
@@ -234,6 +235,7 @@ def test_a_terminal_without_colours_and_unicode_gets_plain_ascii(tmp_path: Path)
     assert not re.search(r"\x1b\[3\dm", terminal.text)
 
 
+@pytest.mark.study
 def test_rerun_gets_the_run_and_the_recording_as_files(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="RERUN NOT TESTED: it is not installed")
     words = ["record", "--backend", "sim", "--duration", "2", "-o", "a.h5", "--rerun", "live.rrd"]

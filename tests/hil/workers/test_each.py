@@ -54,7 +54,6 @@ def files(make: Maker) -> list[Path]:
 @contextmanager
 def cluster(folder: Path, workers: int) -> Iterator[str]:
     """A scheduler and workers of Dask in processes of their own, on the loopback; yields the scheduler's address."""
-    pytest.importorskip("distributed", reason="DASK NOT TESTED: it is not installed")
     place = folder / "scheduler.json"
     scheduler = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(place)]
     worker = [
@@ -95,6 +94,7 @@ def test_each_recording_has_a_line_and_one_that_cannot_be_used_costs_the_others_
     assert f"error [unusable]: {still}" in ended.err
 
 
+@pytest.mark.study
 def test_other_processes_find_the_same_numbers(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,8 +114,8 @@ def test_a_checkpoint_is_refused_with_a_cluster_that_would_not_write_it_here(hil
     assert (ended.status, "--checkpoint" in ended.err) == (2, True)
 
 
+@pytest.mark.study
 def test_a_scheduler_that_is_not_there_is_one_sentence(make_recording: Maker) -> None:
-    pytest.importorskip("distributed", reason="DASK NOT TESTED: it is not installed")
     words = ["identify", *files(make_recording)[:1], "--cluster", "tcp://127.0.0.1:9"]
     ended = subprocess.run([sys.executable, "-m", "hil", *map(str, words)], check=False, capture_output=True, text=True)
     assert ended.returncode == 2
@@ -133,6 +133,7 @@ def on_cluster(words: list[Any], address: str, folder: Path) -> subprocess.Compl
     return subprocess.run(words, check=False, capture_output=True, text=True, cwd=folder, timeout=180)
 
 
+@pytest.mark.study
 def test_a_cluster_finds_the_same_numbers_although_one_of_its_workers_is_killed_at_work(
     hil: Hil, make_recording: Maker, tmp_path: Path
 ) -> None:
@@ -147,6 +148,7 @@ def test_a_cluster_finds_the_same_numbers_although_one_of_its_workers_is_killed_
     assert (ended.returncode, len(without_time(here.out)["results"])) == (here.status, 4)
 
 
+@pytest.mark.study
 def test_a_cluster_whose_workers_have_all_died_ends_in_one_sentence(make_recording: Maker, tmp_path: Path) -> None:
     (tmp_path / "model.py").write_text(MODEL.format(mark="", parent=os.getpid(), who="'identify' not in sys.argv"))
     words = ["identify", "--each", *files(make_recording)[:2], "--model", "model.py:dying", "--trials", 2]
