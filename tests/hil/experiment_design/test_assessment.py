@@ -79,7 +79,7 @@ def test_the_predicted_errors_are_those_of_recordings_on_the_simulated_stand(tmp
     assert np.std(genes, axis=0, ddof=1) == pytest.approx(predicted, rel=0.35)
 
 
-@pytest.mark.parametrize("quantity", ["torque", "position"])
+@pytest.mark.parametrize("quantity", ["torque", pytest.param("position", marks=pytest.mark.study)])
 def test_the_best_excitation_beats_the_usual_one_and_keeps_every_limit(quantity: str) -> None:
     asked = task(quantity=quantity)
     usual = judged(asked, "chirp", (0.5, 15.0), 0.006 if quantity == "torque" else 0.2)

@@ -73,6 +73,22 @@ def embedded(page: str) -> dict[str, Any]:
     return found
 
 
+def test_nothing_from_a_file_becomes_markup(
+    tmp_path: Path, found: Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawing takes longer than all the rest
+    evil = '</script><script>alert("1")</script>&amp;$x$'
+    named = api.IdentificationResult(replace(found, recordings=(tmp_path / "a<b>&'$x$.h5",)))
+    plain = Elements(named.report(tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert plain.text("title").startswith("a<b>&'$x$.h5: ")
+    page = Page(
+        evil, evil, [evil], [], [Section(evil, [["", evil], [evil, evil]], [evil])], [], [(evil, evil)], {evil: evil}
+    )
+    text = write(page, tmp_path / "evil.html", force=False).read_text(encoding="utf-8")
+    assert len(Elements(text).attributes("script")) == 1
+    assert embedded(text) == {evil: evil}
+
+
 def test_a_report_holds_the_json_object_and_says_its_numbers_first(report: Report) -> None:
     result, page = report
     assert embedded(page) == json.loads(json.dumps(result.as_json()))
@@ -112,22 +128,6 @@ def test_a_report_suits_a_phone_the_dark_and_paper(report: Report) -> None:
     assert "@media print" in page
     assert "currentColor" in page
     assert "#010203" not in page
-
-
-def test_nothing_from_a_file_becomes_markup(
-    tmp_path: Path, found: Identification, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawing takes longer than all the rest
-    evil = '</script><script>alert("1")</script>&amp;$x$'
-    named = api.IdentificationResult(replace(found, recordings=(tmp_path / "a<b>&'$x$.h5",)))
-    plain = Elements(named.report(tmp_path / "r.html").read_text(encoding="utf-8"))
-    assert plain.text("title").startswith("a<b>&'$x$.h5: ")
-    page = Page(
-        evil, evil, [evil], [], [Section(evil, [["", evil], [evil, evil]], [evil])], [], [(evil, evil)], {evil: evil}
-    )
-    text = write(page, tmp_path / "evil.html", force=False).read_text(encoding="utf-8")
-    assert len(Elements(text).attributes("script")) == 1
-    assert embedded(text) == {evil: evil}
 
 
 def test_a_chart_holds_its_values_within_a_screens_resolution_and_where_a_line_is_interrupted() -> None:
