@@ -11,21 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse as parse_model
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
-from hil.identification.compare import Comparison, compare
-from hil.identification.fitting.solution import Search
+from hil.identification import compare as comparison
+from hil.identification.compare import Measured, Repeated, compare
 from hil.identification.result import Estimate, Repeatability, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.signals.source import open_sources
 
 from ..conftest import Hil, Maker, edited
+from .conftest import SEARCH
 
-SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
 STAND = '[stand]\nname = "finger"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n'
 
 
@@ -39,16 +38,23 @@ def stamped(path: Path, hour: float = 0.0, stand: str = "", kind: str = "chirp")
     return path
 
 
-def compared(make: Maker, stiffness: list[float], noise: float = 1e-5, stand: str = "") -> Comparison:
-    paths = [
-        stamped(make(f"r{index}.h5", samples=600, kc=kc, noise=noise, seed=index), hour=float(index), stand=stand)
-        for index, kc in enumerate(stiffness)
-    ]
-    return compare(paths, parse_model("linear"), SEARCH)
+def estimate(value: float, half: float) -> Estimate:
+    trials = Repeatability(value, value, 0.0)
+    return Estimate("Kc", "N*m/rad", value, (value - half, value + half), trials, True, None, (0.0, 99.0))
+
+
+def repeated(stiffness: list[float], error: float = 1e-6, scale: float = 0.0) -> Repeated:
+    """Kc of recordings an hour apart, each with that standard error and an uncertain torque, relative."""
+    measured = []
+    for hour, kc in enumerate(stiffness):
+        found = {"Kc": estimate(kc, 1.96 * math.hypot(error, scale * kc))}
+        measured.append(Measured(Path(f"{hour}.h5"), None, float(hour), "linear", found, frozenset(found), scale))
+    return comparison._repeated("Kc", measured)
 
 
 def test_recordings_of_the_same_coupling_are_said_to_agree(make_recording: Maker) -> None:
-    found = compared(make_recording, [0.02, 0.02, 0.02, 0.02, 0.02])
+    each = [make_recording(f"r{at}.h5", samples=600, noise=1e-5, seed=at) for at in range(3)]
+    found = compare([stamped(path, float(at)) for at, path in enumerate(each)], parse_model("linear"), SEARCH)
     kc, bc = found.parameters
     assert kc.pooled is not None
     assert kc.pooled.ci95[0] < 0.02 < kc.pooled.ci95[1]
@@ -57,53 +63,60 @@ def test_recordings_of_the_same_coupling_are_said_to_agree(make_recording: Maker
     assert found.trustworthy
 
 
-def test_a_variance_between_recordings_is_estimated_and_stated_in_words(make_recording: Maker) -> None:
+def test_a_variance_between_recordings_is_estimated_and_stated_in_words() -> None:
     put_in = np.array([0.0, 3e-4, -4e-4, 5e-4, -2e-4, 1e-4])
-    kc, bc = compared(make_recording, list(0.02 + put_in)).parameters
+    kc = repeated(list(0.02 + put_in))
     assert kc.pooled is not None
-    assert kc.pooled.between == pytest.approx(np.std(put_in, ddof=1), rel=0.02)
-    assert kc.pooled.within < 0.05 * kc.pooled.between
+    assert kc.pooled.between == pytest.approx(np.std(put_in, ddof=1), rel=1e-4)
+    assert kc.pooled.within == pytest.approx(1e-6, rel=1e-3)
     assert kc.repeats is False
     assert "Kc does not repeat: the recordings differ by 1.6 %" in kc.verdict
     assert "drifts" not in kc.verdict
-    assert bc.repeats is True
 
 
-def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval(make_recording: Maker) -> None:
+def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval() -> None:
     put_in = [0.02, 0.0203, 0.0196, 0.0205]
-    exact = compared(make_recording, put_in)
-    found = compared(make_recording, put_in, stand=STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]"))
-    for before, after in zip(exact.parameters, found.parameters, strict=True):
-        assert before.pooled is not None
-        assert after.pooled is not None
-        assert after.pooled.value == pytest.approx(before.pooled.value)
-        assert after.pooled.between == pytest.approx(before.pooled.between, rel=1e-3, abs=1e-12)
-        assert after.pooled.within == pytest.approx(before.pooled.within, rel=1e-3)
-        assert after.repeats == before.repeats
-        low, high = before.pooled.ci95
-        half = math.hypot(0.5 * (high - low), 1.96 * 0.05 * before.pooled.value)
-        assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
-    assert "scale-in-common" in [diagnostic.code for diagnostic in found.diagnostics]
-    assert "scale-in-common" not in [diagnostic.code for diagnostic in exact.diagnostics]
+    before, after = (repeated(put_in, scale=scale) for scale in (0.0, 0.05))
+    assert before.pooled is not None
+    assert after.pooled is not None
+    assert after.pooled.value == pytest.approx(before.pooled.value)
+    assert after.pooled.between == pytest.approx(before.pooled.between, rel=1e-3)
+    assert after.pooled.within == pytest.approx(before.pooled.within, rel=1e-3)
+    assert after.repeats == before.repeats
+    low, high = before.pooled.ci95
+    half = math.hypot(0.5 * (high - low), 1.96 * 0.05 * before.pooled.value)
+    assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
 
 
-def test_a_drift_is_found_by_the_recordings_own_times(make_recording: Maker) -> None:
+def test_an_uncertain_torque_is_said_to_be_the_same_in_all_recordings(make_recording: Maker) -> None:
+    stand = STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]")
+    paths = [stamped(make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at), stand=stand) for at in range(2)]
+    found = compare(paths, parse_model("linear"), SEARCH)
+    assert [one.code for one in found.diagnostics].count("scale-in-common") == 1
+    assert found.parameters[0].drift is None  # of two
+
+
+def test_a_drift_is_found_by_the_recordings_own_times() -> None:
     """2 % an hour was put in."""
-    kc, bc = compared(make_recording, [0.02, 0.0204, 0.0208, 0.0212]).parameters
+    kc = repeated([0.02, 0.0204, 0.0208, 0.0212])
     assert kc.drift is not None
-    assert kc.drift.slope == pytest.approx(4e-4, rel=0.02)
+    assert kc.drift.slope == pytest.approx(4e-4, rel=1e-3)
     assert kc.drift.p < 0.01
     assert "It drifts by +1.9 % an hour" in kc.verdict
-    assert bc.drift is not None
-    assert bc.drift.p > 0.05
+
+
+def test_recordings_that_agree_more_closely_than_their_errors_are_said_to() -> None:
+    assert repeated([0.02] * 3, error=1e-4).verdict.startswith(
+        "Kc repeats: the recordings differ by less than their own errors of 0.5 % predict"
+    )
 
 
 def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recording: Maker) -> None:
     def still(channels: dict[str, Any]) -> None:
         channels["dtheta"][:] = 0.1
 
-    good = [stamped(make_recording(f"{name}.h5", noise=1e-5, seed=seed)) for seed, name in enumerate("ab")]
-    paths = [*good, stamped(make_recording("c.h5", change=still))]
+    good = [stamped(make_recording(f"{name}.h5", samples=600, noise=1e-5, seed=seed)) for seed, name in enumerate("ab")]
+    paths = [*good, stamped(make_recording("c.h5", samples=600, change=still))]
     found = compare(paths, parse_model("linear"), SEARCH)
     assert found.parameters[0].recordings == tuple(good)
     assert found.recordings[2].estimates == {}
@@ -116,25 +129,15 @@ def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recordi
 
 
 def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recording: Maker) -> None:
-    paths = [
-        stamped(
-            make_recording(f"{seed}.h5", kc=0.02 + 1e-4 * seed, noise=1e-5, seed=seed), float(seed), kind="imported"
-        )
-        for seed in range(4)
-    ]
+    each = [make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at) for at in range(3)]
+    paths = [stamped(path, float(at), kind="imported") for at, path in enumerate(each)]
     found = compare(paths, parse_model("linear"), SEARCH)
     assert found.parameters[0].drift is None
-    assert [one.created for one in found.recordings] == [None] * 4
+    assert [one.created for one in found.recordings] == [None] * 3
     assert "time-unknown" in {diagnostic.code for diagnostic in found.diagnostics}
 
 
-def test_recordings_that_agree_more_closely_than_their_errors_are_said_to(make_recording: Maker) -> None:
-    """The same noise in each, so that they agree by construction."""
-    paths = [stamped(make_recording(f"{name}.h5", noise=1e-4, seed=5), hour) for hour, name in enumerate("abc")]
-    verdict = compare(paths, parse_model("linear"), SEARCH).parameters[0].verdict
-    assert verdict.startswith("Kc repeats: the recordings differ by less than their own errors of")
-
-
+@pytest.mark.study
 def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path) -> None:
     """Two ramps of split_runin1 of +-25 to 40 N m, whose friction is a term of its own."""
     columns = {"time": Column("TIME", "s"), "torque": Column("TORQUE", "N*m"), "dtheta": Column("POSITION", "rev")}
@@ -150,10 +153,8 @@ def test_the_real_runs_of_one_actuator_agree(tmp_path: Path, locked_output: Path
 
 @pytest.mark.parametrize(("half", "error"), [(1.959964, 1.0), (0.0, 2e-8), (math.inf, math.inf)])
 def test_a_standard_error_is_the_intervals_and_never_zero(half: float, error: float) -> None:
-    trials = Repeatability(20.0, 20.0, 0.0)
-    estimate = Estimate("Kc", "N*m/rad", 20.0, (20.0 - half, 20.0 + half), trials, True, None, (0.0, 99.0))
-    assert standard_error(estimate) == pytest.approx(error)
-    assert standard_error(replace(estimate, value=0.0, ci95=(0.0, 0.0))) > 0.0
+    assert standard_error(estimate(20.0, half)) == pytest.approx(error)
+    assert standard_error(replace(estimate(20.0, half), value=0.0, ci95=(0.0, 0.0))) > 0.0
 
 
 # --- one stand -------------------------------------------------------------------------------------------------------
@@ -202,9 +203,9 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(
 ) -> None:
     monkeypatch.setattr("hil.report.html_page.svg", lambda _: "<svg/>")  # drawing takes longer than all the rest
     for index, kc in enumerate([0.02, 0.021, 0.0205]):
-        stamped(make_recording(f"r{index}.h5", kc=kc, noise=1e-5, seed=index), hour=index / 2)
+        stamped(make_recording(f"r{index}.h5", samples=600, kc=kc, noise=1e-5, seed=index), hour=index / 2)
     status, out, err = hil(
-        "compare", "r0.h5", "r1.h5", "r2.h5", "--model", "linear", "--trials", 2, "--report", "c.html"
+        "compare", "r0.h5", "r1.h5", "r2.h5", "--model", "linear", "--trials", 1, "--report", "c.html"
     )
     assert status == 0
     assert all(name in out for name in ("r0.h5", "r1.h5", "r2.h5", "Kc, mN m/rad", "pooled", "within", "between"))
@@ -215,8 +216,8 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(
 
 
 def test_the_json_is_one_object_of_numbers_in_si(hil: Hil, make_recording: Maker) -> None:
-    paths = [stamped(make_recording(f"r{i}.h5", noise=1e-5, seed=i), hour=i) for i in range(3)]
-    status, out, _ = hil("compare", *paths, "--model", "linear", "--trials", 2, "--json")
+    paths = [stamped(make_recording(f"r{i}.h5", samples=600, noise=1e-5, seed=i), hour=i) for i in range(3)]
+    status, out, _ = hil("compare", *paths, "--model", "linear", "--trials", 1, "--json")
     found = json.loads(out)
     assert status == 0
     assert found["schema"] == "hil-comparison/2"
@@ -248,7 +249,7 @@ def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_r
 
     for name in "ab":
         make_recording(f"{name}.h5", samples=100, change=still)
-    status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 2, "--json")
+    status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 1, "--json")
     assert status == 1
     assert json.loads(out)["parameters"]["Kc"]["value"] is None
     assert "error [cannot-compare]: Kc cannot be compared: 0 of 2 recordings identify it" in err
