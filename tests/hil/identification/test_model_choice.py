@@ -21,10 +21,15 @@ from ga.model.trajectory import Motion
 from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
+from hil.errors import Untrustworthy
+from hil.identification import model_choice
 from hil.identification.model_choice import _is_sticking, choose
-from hil.identification.selection.fits import Candidate, Fits
+from hil.identification.selection.fits import LATE, Candidate, Fits
+from hil.identification.selection.late import EARLIER
+from hil.identification.selection.stepwise import Selection
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
+from hil.signals.defects import Defects
 from hil.signals.prepare import Signals, prepare
 from hil.stand.file import parse
 from hil.stand.opening import open_servo
@@ -118,6 +123,7 @@ def test_where_there_is_next_to_no_friction_all_samples_are_taken() -> None:
     assert choice.described(found).all()
 
 
+@pytest.mark.study
 def test_the_ladder_leaves_them_out_as_well() -> None:
     choice = choose(None, recorded(1e-3), linear_only=False)
     assert choice.model.name == "linear+coulomb"
@@ -125,6 +131,7 @@ def test_the_ladder_leaves_them_out_as_well() -> None:
     assert all(abs(step.Kc / KC - 1.0) < 3e-3 for step in choice.steps if step.included and step.term == "coulomb")
 
 
+@pytest.mark.study
 def test_where_no_smooth_friction_can_be_fitted_the_samples_are_left_out_as_well(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -141,7 +148,7 @@ def test_where_no_smooth_friction_can_be_fitted_the_samples_are_left_out_as_well
 
     monkeypatch.setattr(Fits, "preview", seen)
     monkeypatch.setattr(Fits, "candidate", fitted)
-    choice = choose(None, recorded(2e-3), linear_only=False)
+    choice = choose(None, recorded(1e-3), linear_only=False)
     assert choice.sticking
     assert "coulomb" in choice.model.name.split("+")
 
@@ -178,32 +185,34 @@ def test_the_passes_of_a_joint_are_counted_through_one_quarter_of_its_range() ->
     assert Motion(time, wandering, none, none, none).passes == 5
 
 
-@pytest.mark.parametrize(("periods", "included"), [(1, False), (4, True)])
-def test_a_drift_is_included_only_where_the_joint_comes_back_again_and_again(periods: int, included: bool) -> None:
+@pytest.mark.parametrize(
+    ("periods", "torque_from", "accounts"),
+    [(1, "given", EARLIER), (4, "given", EARLIER), (4, "joint", LATE), (1, "motor", ("skew",))],
+)
+def test_the_terms_considered_are_those_that_the_motion_can_show_and_the_torque_can_have(
+    monkeypatch: pytest.MonkeyPatch, periods: int, torque_from: str, accounts: tuple[str, ...]
+) -> None:
+    """A drift, and friction that grows with the load, show where the joint comes back again and again."""
     time, pace = np.linspace(0.0, 10.0, 3000), 2.0 * np.pi * periods / 10.0
     angle, rate = 0.3 * np.sin(pace * time), 0.3 * pace * np.cos(pace * time)
     motion = Motion(time, angle, rate, -(pace**2) * angle, np.zeros(len(time)))
-    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(time))
-    torque = KC * angle + 1e-4 * rate + 1e-4 * time + noise
-    signals = replace(
-        recorded(1e-6), motion=motion, torque=torque, window=None, command=None, unfiltered=None, band=(0.1, 0.4)
-    )
-    assert ("drift" in choose(None, signals, linear_only=False).model.name) is included
+    torque = KC * angle + 1e-4 * rate
+    signals = Signals(motion, torque, Defects(), (0.1, 0.4), 0.0, torque_from)
+    seen: list[model_choice._Considered] = []
 
+    def select(_signals: Signals, _seen: object, considered: model_choice._Considered, **_more: object) -> Selection:
+        seen.append(considered)
+        raise RuntimeError
 
-@pytest.mark.parametrize(("periods", "included"), [(1, False), (6, True)])
-def test_friction_that_grows_with_the_load_is_included_only_where_each_load_comes_again(
-    periods: int, included: bool
-) -> None:
-    time, pace = np.linspace(0.0, 10.0, 4000), 2.0 * np.pi * periods / 10.0 * np.array([1.0, 2.3])[:, None]
-    angle, rate, acceleration = (
-        (np.array([[0.2], [0.12]]) * part).sum(axis=0)
-        for part in (np.sin(pace * time), pace * np.cos(pace * time), -(pace**2) * np.sin(pace * time))
+    monkeypatch.setattr(model_choice, "_select", select)
+    with pytest.raises(Untrustworthy, match="no model can be fitted"):
+        choose(None, signals, linear_only=False)
+    (considered,) = seen
+    both = (*considered.terms, *considered.rarer)
+    assert len(set(both)) == len(both)
+    assert {"drift", "softening", "sheath"}.intersection(both) == (
+        {"drift", "softening", "sheath"} if periods > 1 else set()
     )
-    motion = Motion(time, angle, rate, acceleration, np.zeros(len(time)))
-    noise = 2e-5 * np.random.default_rng(0).standard_normal(len(time))
-    torque = KC * angle + 1e-4 * rate + 0.3 * KC * np.abs(angle) * motion.presliding(0.02) + noise
-    signals = replace(
-        recorded(1e-6), motion=motion, torque=torque, window=None, command=None, unfiltered=None, band=(0.1, 2.0)
-    )
-    assert ("sheath" in choose(None, signals, linear_only=False).model.name) is included
+    assert ("inertia" in considered.terms) == (torque_from == "motor")
+    assert ("lag" in considered.rarer) == (torque_from != "motor")
+    assert considered.accounts == accounts
