@@ -8,16 +8,14 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from ga.evolution.evolution import PRESETS
 from hil.errors import Untrustworthy
-from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.recording.reader import Array
 from hil.signals.inspection import inspect
 
 from ..conftest import Maker
+from .conftest import SEARCH
 
-SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
 Change = Callable[[dict[str, Array]], None]
 
 
@@ -34,7 +32,7 @@ def torque_of_half_the_time(channels: dict[str, Array]) -> None:
 @pytest.mark.parametrize(
     ("change", "samples", "rate"),
     [
-        (ramp_beside_one_jump, 4000, 1000.0),
+        pytest.param(ramp_beside_one_jump, 4000, 1000.0, marks=pytest.mark.study),
         (torque_of_half_the_time, 400, 250.0),
     ],
 )

@@ -205,7 +205,7 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(
     for index, kc in enumerate([0.02, 0.021, 0.0205]):
         stamped(make_recording(f"r{index}.h5", samples=600, kc=kc, noise=1e-5, seed=index), hour=index / 2)
     status, out, err = hil(
-        "compare", "r0.h5", "r1.h5", "r2.h5", "--model", "linear", "--trials", 1, "--report", "c.html"
+        "compare", "r0.h5", "r1.h5", "r2.h5", "--model", "linear", "--trials", 1, "--workers", 1, "--report", "c.html"
     )
     assert status == 0
     assert all(name in out for name in ("r0.h5", "r1.h5", "r2.h5", "Kc, mN m/rad", "pooled", "within", "between"))
@@ -217,7 +217,7 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(
 
 def test_the_json_is_one_object_of_numbers_in_si(hil: Hil, make_recording: Maker) -> None:
     paths = [stamped(make_recording(f"r{i}.h5", samples=600, noise=1e-5, seed=i), hour=i) for i in range(3)]
-    status, out, _ = hil("compare", *paths, "--model", "linear", "--trials", 1, "--json")
+    status, out, _ = hil("compare", *paths, "--model", "linear", "--trials", 1, "--workers", 1, "--json")
     found = json.loads(out)
     assert status == 0
     assert found["schema"] == "hil-comparison/2"

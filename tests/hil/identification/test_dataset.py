@@ -30,7 +30,7 @@ from ..conftest import Maker
 
 
 def identified(paths: list[Path], model: str = "linear+offset+cubic") -> Identification:
-    search = Search("default", PRESETS["default"], trials=3, seed=0, workers=1, bounds={})
+    search = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
     return identify(paths, parse_model(model), search)
 
 
@@ -39,15 +39,18 @@ def recordings(make_recording: Maker) -> list[Path]:
     def spoil(channels: dict[str, Array]) -> None:
         channels["torque"][40:45] = np.nan
 
-    return [make_recording("a.h5", samples=12_000, noise=2e-4), make_recording("b.h5", noise=2e-4, change=spoil)]
+    return [
+        make_recording("a.h5", samples=3000, noise=2e-4),
+        make_recording("b.h5", samples=1000, noise=2e-4, change=spoil),
+    ]
 
 
 def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     whole = identified(recordings)
     monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
-    monkeypatch.setattr(out_of_core, "_SUBSAMPLE", 3000)
+    monkeypatch.setattr(out_of_core, "_SUBSAMPLE", 1200)
     parts = identified(recordings)
-    assert parts.samples == whole.samples > 13_500
+    assert parts.samples == whole.samples > 3800
     assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
     assert parts.fitness == pytest.approx(whole.fitness, rel=1e-6)
     assert parts.validation.fitness == pytest.approx(whole.validation.fitness, rel=1e-9)
@@ -95,7 +98,7 @@ def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
     with open_sources(recordings) as sources, open_dataset(sources, choose) as data:
         assert seen == [(len(data.signals), False)]
         assert 1500 < len(data.signals) < 2000
-        assert sum(len(torque) for _, torque in data.blocks()) == data.samples > 13_500
+        assert sum(len(torque) for _, torque in data.blocks()) == data.samples > 3800
 
 
 def test_nothing_is_left_on_disk(
@@ -104,7 +107,7 @@ def test_nothing_is_left_on_disk(
     monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
     before = sorted(recordings[0].parent.iterdir())
     assert run(["identify", str(recordings[0]), "--json"]) == 0
-    assert '"samples": 11' in capfd.readouterr().out
+    assert '"samples": 2' in capfd.readouterr().out
     assert sorted(recordings[0].parent.iterdir()) == before
 
 

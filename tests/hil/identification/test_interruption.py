@@ -23,7 +23,7 @@ LONG = (
     "--preset",
     "paper",
     "--generations",
-    "300000",
+    "100000",
     "--trials",
     "3",
     "--workers",
@@ -34,9 +34,9 @@ LONG = (
 
 @pytest.fixture(autouse=True)
 def in_short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a search look for Ctrl-C often, so that a short one is interrupted on a quick computer too."""
-    monkeypatch.setattr("ga.trials.trials._POLL", 0.01)
-    monkeypatch.setattr("ga.trials.trials._CHUNK", 10_000_000)
+    """Let a search look for Ctrl-C at once and often: a short one is interrupted on a quick computer too."""
+    monkeypatch.setattr("ga.trials.trials._POLL", 0.002)
+    monkeypatch.setattr("ga.trials.trials._CHUNK", 4_000_000)
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def test_an_interrupted_search_goes_on_to_the_result_of_one_in_one_go(
         assert run([*words, "--checkpoint", str(state)]) == 130
     out, err = capfd.readouterr()
     part = json.loads(out)
-    assert part["evaluations"] < 3 * 300_000
+    assert part["evaluations"] < 3 * 100_000
     assert "interrupted" in [warning["code"] for warning in part["warnings"]]
     assert f"resume with: hil {' '.join(words)} --checkpoint {state}" in err
 
@@ -84,22 +84,23 @@ def test_an_interrupted_search_without_a_checkpoint_still_prints_its_result(
     assert "use --checkpoint to be able to resume" in err
 
 
+@pytest.mark.study
 def test_an_interrupted_replication_goes_on_when_the_command_is_given_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["replicate", "--evaluations", "300000", "--trials", "2", "-o", str(tmp_path), "--json"]
+    words = ["replicate", "--evaluations", "100000", "--trials", "2", "-o", str(tmp_path), "--json"]
     with monkeypatch.context() as patch:
         patch.setattr("hil.cli.replicate.progress", interrupting)
         assert run(words) == 130
     out, err = capfd.readouterr()
     assert json.loads(out)["interrupted"]
-    state = tmp_path / "search-2x300000-seed0.npz"
+    state = tmp_path / "search-2x100000-seed0.npz"
     assert f"{state} holds the progress" in err
     assert state.exists()
     assert run(words) == 0
     found = json.loads(capfd.readouterr().out)
     assert not found["interrupted"]
-    assert found["evaluations"] == 2 * (10 + 300_000)
+    assert found["evaluations"] == 2 * (10 + 100_000)
     assert not state.exists()
 
 

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[3]
 
 MEASURED = """
@@ -16,7 +18,7 @@ from ga.lad.out_of_core import reduce
 from hil.uncertainty.confidence import confidence_intervals
 from hil.identification.disk_table import DiskTable
 
-ROWS, BLOCK = 4_000_000, 1 << 18
+ROWS, BLOCK = 2_000_000, 1 << 17
 
 def block(rng, rows):
     columns = rng.standard_normal((rows, 2))
@@ -35,6 +37,7 @@ print(gone_through(ROWS) - before, ROWS * 3 * 8)
 """
 
 
+@pytest.mark.study
 def test_reading_a_table_on_disk_holds_a_fraction_of_it_in_memory(tmp_path: Path) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", MEASURED, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=True

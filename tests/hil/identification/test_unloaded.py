@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 from hil.identification.evidence import UNLOADED_PLACE
-from hil.identification.fitting.solution import Search
 from hil.identification.fitting.unloaded import Unloaded, unloaded
 from hil.identification.identify import identify
 from hil.identification.result import Identification
@@ -21,12 +19,13 @@ from hil.recording.writer import Header, write
 from hil.signals.defects import Defects
 from hil.signals.prepare import Signals
 
+from .conftest import SEARCH
+
 Array = NDArray[np.float64]
 
 KC, BC, K3, KP = 0.3, 3e-3, 2.0, 0.5
 """SI; over the motion the cubic spring stiffens by 75 %, the progressive one by 25 % to one side."""
-TIME = np.arange(4000) / 500.0
-SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
+TIME = np.arange(2500) / 500.0
 
 
 def moved(middle: float = 0.1) -> tuple[Array, Array]:
@@ -123,6 +122,7 @@ def test_the_interval_spans_a_stiffness_that_rises_exponentially(rise: str) -> N
     assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.01 * math.expm1(1.0) / 5.0))
 
 
+@pytest.mark.study
 def test_one_zero_alone_is_not_believed_unless_a_model_without_an_offset_is_named(tmp_path: Path) -> None:
     deflection, rate = moved()
     asked = {"angle": deflection + 2.0, "torque": progressive(deflection, rate)}
@@ -148,6 +148,7 @@ def test_the_place_where_a_stiffness_changes_counts_from_the_encoders_zero(tmp_p
     assert held(found)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("knee", [0.0, 0.03])
 def test_kc_spans_both_stiffnesses_of_a_spring_that_changes_beside_its_unloaded_place(
     tmp_path: Path, knee: float

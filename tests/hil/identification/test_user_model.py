@@ -8,15 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ga.evolution.evolution import PRESETS
 from hil.cli import app
 from hil.errors import WrongUse
 from hil.identification.compare import compare
-from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.user_model import load
 
 from ..conftest import Maker
+from .conftest import SEARCH
 
 GOOD = """
 from typing import Annotated
@@ -26,7 +25,6 @@ def joint(time, dtheta, dtheta_dot, *, Kc: Annotated[float, "N*m/rad", 0.0, 0.1]
           Bc: Annotated[float, "N*m*s/rad", 0.0, 2e-3]):
     return Kc * dtheta + Bc * dtheta_dot
 """
-SEARCH = Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
 
 
 def written(folder: Path, text: str) -> str:
@@ -49,6 +47,7 @@ def test_it_comes_to_what_the_linear_model_comes_to(make_recording: Maker, tmp_p
         assert one.identifiable
 
 
+@pytest.mark.study
 def test_one_without_kc_and_bc_that_does_not_describe_the_recording_is_not_trusted(
     make_recording: Maker, tmp_path: Path
 ) -> None:
@@ -69,14 +68,14 @@ def test_a_parameter_that_is_required_and_missing_is_not_trusted(
     make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str], required: str, status: int
 ) -> None:
     own = written(tmp_path, GOOD.replace("Kc", "stiff").replace("Bc", "damped"))
-    path = str(make_recording(noise=1e-4))
+    path = str(make_recording(samples=1000, noise=1e-4))
     assert app.run(["identify", path, "--model", own, "--trials", "1", "--require", required]) == status
     assert ("has no Kc, which --require asks for" in capfd.readouterr().err) is (status == 1)
 
 
 def test_its_validation_error_is_relative_to_the_torque(make_recording: Maker, tmp_path: Path) -> None:
     """The stiffness is 2500 Kc^3, whose linearisation is three times as large: white noise over the torque's RMS."""
-    noise, path = 2e-4, make_recording(noise=2e-4, samples=8000)
+    noise, path = 2e-4, make_recording(noise=2e-4, samples=3000)
     own = identify([path], load(written(tmp_path, GOOD.replace("Kc * dtheta", "2500 * Kc**3 * dtheta"))), SEARCH)
     assert own["Kc"].value == pytest.approx(0.02, rel=1e-3)
     assert own.validation.nrmse == pytest.approx(noise / float(np.std(own.signals.torque)), rel=0.05)
@@ -130,7 +129,7 @@ def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_p
 
 def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_recording: Maker, tmp_path: Path) -> None:
     own = load(written(tmp_path, GOOD.replace("Kc", "k").replace("Bc", "b")))
-    paths = [make_recording(f"{seed}.h5", noise=1e-4, seed=seed) for seed in range(2)]
+    paths = [make_recording(f"{seed}.h5", samples=600, noise=1e-4, seed=seed) for seed in range(2)]
     assert [estimate.name for estimate in identify(paths, own, SEARCH).estimates] == ["k", "b"]
     with pytest.raises(WrongUse, match="has k, b: give its parameters"):
         compare(paths, own, SEARCH)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ga.evolution.evolution import PRESETS
 from ga.model.coupling import parse
-from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.recording.reader import Array
 
 from ..conftest import Maker
+from .conftest import SEARCH
 
-SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
 NOISE = 2e-5
 
 
@@ -32,7 +30,7 @@ def slackens_where_held_out(channels: dict[str, Array]) -> None:
 
 def test_a_place_that_only_held_out_data_show_keeps_its_value(make_recording: Maker) -> None:
     """The other data say where torque and spring meet, but not where the tendon slackens."""
-    path = make_recording(samples=10_000, change=slackens_where_held_out)
+    path = make_recording(samples=3000, change=slackens_where_held_out)
     found = identify([path], parse("linear+offset+slack"), SEARCH)
     assert found["slack"].value == pytest.approx(-0.2, abs=2e-3)
     assert found.validation.nrmse < 2.0 * NOISE / float(np.std(found.signals.torque))
