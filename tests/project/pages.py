@@ -76,7 +76,6 @@ class Reader:
         self._write(tools / "hil", "-I -c 'from hil.cli.app import main; main()'")
         self._write(tools / "python", "")
         self._environment = os.environ | {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "80"}
-        self._environment |= {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
 
     def paste(self, lines: str) -> str:
         """Return what the lines print; fails with the line that failed. What they left running ends with the shell."""
