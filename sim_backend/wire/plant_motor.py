@@ -28,6 +28,8 @@ from sim_backend.wire.drive_faults import DriveFaults
 
 BEAT = 1e-3
 """s between two evaluations of a demand law."""
+_RESTING = 1e-9
+"""rad/s and N m below which a motor rests."""
 
 
 class DemandLaw(Protocol):
@@ -147,11 +149,16 @@ class PlantMotor(Generic[Law]):
         """Carry the plant to `until`, s; nothing happens where that is past."""
         while self.time < until:
             end = until
-            if self.law.beats(self.enabled):
-                end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
             if self.enabled or not self._faults.stays_on(self.time):
                 self.commanded = self.demand
+            if self.law.beats(self.enabled) and not self._rests:
+                end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
             integrate(self._path, self.commanded, end, self._packed[0])
             self.observer()
             if self._note is not None:
                 self._note(self.time, self.coupling_torque)
+
+    @property
+    def _rests(self) -> bool:
+        """Whether nothing moves and nothing is demanded, so that the next beats would change nothing."""
+        return self.commanded == 0.0 and max(abs(self.rate), abs(self.torque)) < _RESTING

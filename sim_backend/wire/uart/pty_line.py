@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import select
 import struct
@@ -75,6 +76,8 @@ class PtyLine:
         """Whether a client has the port open."""
         self._left_locked = False
         """Whether the port was found locked; by nobody, if the next look finds no client either."""
+        self._asked = -math.inf
+        """When a client last sent something, s."""
         self._unsure = True
         """Whether a client may have come of which no event will tell."""
         self._open()
@@ -107,6 +110,7 @@ class PtyLine:
             if self._wait(advanced + step):
                 return
             data = self._read()
+            self._asked = self.now() if data else self._asked
             idle = self.now() >= advanced + step
             if idle:
                 advanced = self.now()
@@ -121,7 +125,8 @@ class PtyLine:
     def _wait(self, until: float) -> bool:
         """Wait for a client, its bytes, or something to send, but no longer than `until`, s; return whether to stop."""
         if self._present:
-            until = min(until, self._arrivals.next() - _SPIN, self._peer.due())
+            spin = _SPIN if self.now() < self._asked + _STEP else 0.0
+            until = min(until, self._arrivals.next() - spin, self._peer.due())
         elif self._unsure or not self._openings.files:
             until = min(until, self.now() + _LOOK)
         files = [self._wake, *([self._master] if self._present else self._openings.files)]
