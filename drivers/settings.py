@@ -13,11 +13,12 @@ Value = TypeVar("Value")
 
 
 class Settings(Generic[Key, Value]):
-    """The settings of one device that `read` and `write` reach.
+    """The settings of one device, which the functions `read` and `write` reach.
 
-    same: whether the device's value is the one that was written. kept: whether the device keeps a setting without
-    power or a later program relies on it, so that it is restored. Every method raises what `read` and `write` do.
-    journal: called before each write of a setting that is restored, when `changed` has it already.
+    same: a function that returns whether the value in the device equals the written value. kept: a function that
+    returns whether a setting must be restored at the end, because the device stores it without power or a later program
+    relies on it. journal: a function that is called before each write of a setting that will be restored; `changed`
+    already holds its old value then. Every method raises what `read` and `write` raise.
     """
 
     def __init__(
@@ -36,10 +37,10 @@ class Settings(Generic[Key, Value]):
         self.journal: Callable[[], None] = lambda: None
 
     def require(self, key: Key, value: Value, name: str = "", before: Value | None = None) -> None:
-        """Make a setting hold `value` and read it back; it is written only where it holds another value.
+        """Make a setting hold `value` and read it back. The setting is written only if it holds another value.
 
-        name: the setting for messages; "" for `key` itself. before: what it holds where it cannot be read yet. Raises
-        DriverError where the device keeps another value.
+        name: of the setting in messages; "" for `key` itself. before: the present value, for a setting that cannot be
+        read yet. Raises DriverError if the device keeps another value.
         """
         before = self._read(key) if before is None else before
         if self._same(before, value):

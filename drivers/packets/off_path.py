@@ -1,4 +1,4 @@
-"""The off path of a servo on a line of packets."""
+"""How another process switches off the torque of a servo on a packet-based serial bus."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RESYNC = bytes(32)
 def off_path(
     port: SerialPort, table: ControlTable, off: Iterable[str], zero_after: Iterable[str] = (), kept: Iterable[str] = ()
 ) -> OffPath:
-    """Return the path that writes zero to the registers `off`, then to `zero_after`, and restores the settings.
+    """Return the packets that write zero to the registers `off`, then to `zero_after`, and that restore the settings.
 
     kept: registers that are not restored.
     """

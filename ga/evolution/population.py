@@ -83,7 +83,7 @@ class Record(NamedTuple):
 
 
 def unrecorded() -> Record:
-    """A record of no generation."""
+    """Return an empty record, for a search that records no generation."""
     return Record(np.full(1, -1), np.empty(0))
 
 

@@ -171,9 +171,11 @@ class CouplingModel:
         return next((float(values[0]) for term, values in self._valued(nonlinear) if term.delays), 0.0)
 
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array:
-        """Return the columns (n, p) for nonlinear parameters (q,), SI; None: without the terms that have any.
+        """Return the columns (n, p) of the linear parameters, SI.
 
-        lag: Bc/Kc, s, which determines when flanks that can only push lose contact.
+        nonlinear (q,): the values of the nonlinear parameters; None leaves out the columns of terms that have such
+        parameters. lag: Bc/Kc, s; in a gap it determines when the two contact surfaces, which can push but not pull,
+        separate.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)

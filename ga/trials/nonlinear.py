@@ -47,7 +47,9 @@ _POLL: Final = 0.1
 
 @dataclass(eq=False)
 class _Trial:
-    """One search under way. record: the best fitness, N m, of each generation. seconds: of its thread's processor."""
+    """One running search. record: the best fitness of each generation, N m. seconds: processor time of the search's
+    thread.
+    """
 
     search: Search
     record: list[float] = field(default_factory=list)

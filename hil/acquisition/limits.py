@@ -133,11 +133,12 @@ class Level:
 
 
 class Temperature:
-    """The winding's temperature, degC, which must also change while the motor is loaded.
+    """The check of the winding's temperature, degC, which must stay below its limit and change while the motor is
+    loaded.
 
-    It may be constant in thermal equilibrium. On the way there, a reading with steps slows down: its last step takes at
-    least ln 2 of the time constant, which is minutes for the case of a motor. A reading that changed faster and then
-    stays constant is frozen.
+    The temperature may be constant in thermal equilibrium. On the way there, a reading in steps slows down: its last
+    step takes at least ln 2 of the time constant, which is minutes for the case of a motor. A reading that changed
+    faster and then stays constant is frozen.
     """
 
     name = "temperature"
@@ -187,7 +188,7 @@ class Temperature:
 
 
 class Supply:
-    """The drive's supply voltage, which must stay close to its value at rest."""
+    """The check that the drive's supply voltage stays close to its value at rest."""
 
     name = "voltage"
 
@@ -212,7 +213,9 @@ class Supply:
 
 
 class Lock:
-    """The locked joint, which must not turn; checked if its angle is measured. limit: of the deflection, rad."""
+    """The check that the locked joint does not turn, if its angle is measured. limit: the largest allowed deflection,
+    rad.
+    """
 
     name = "lock"
 

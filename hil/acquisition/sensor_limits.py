@@ -20,8 +20,9 @@ _NOISE_OVER, _NOISE_SIZE, _ROUGH = 100, 0.02, 1.45  # replies; of the deflection
 
 
 class StuckEncoder:
-    """The motor's angle must change while the torque does. moves: the change of torque, N m, that is impossible unless
-    the motor turns.
+    """The check that the motor's angle changes while the torque does.
+
+    moves: the change of torque, N m, that is impossible unless the motor turns.
     """
 
     name = "encoder"
@@ -53,10 +54,12 @@ class StuckEncoder:
 
 
 class ImplausibleEncoder:
-    """The deflection can neither jump nor be noisy. limit: of the deflection, rad; velocity: rad/s.
+    """The check that the deflection neither jumps nor is noisy, as that of a broken encoder is.
 
-    Between two readings it moves at most three times as far as its reported rate allows, plus a tenth of its limit. The
-    second differences of a well sampled motion are smaller than the first ones; those of noise are not.
+    limit: the largest allowed deflection, rad. velocity: the largest allowed rate, rad/s. The deflection jumps if it
+    changes between two readings by more than three times what its reported rate allows, plus a tenth of `limit`. It is
+    noisy if its second differences are not smaller than its first ones, as they are in any motion that is sampled often
+    enough.
     """
 
     name = "encoder"
@@ -106,7 +109,9 @@ class ImplausibleEncoder:
 
 
 class StuckCell:
-    """The torque, N m, must change while the deflection does. limit: of the torque."""
+    """The check that the torque reading, N m, changes while the deflection does. limit: the largest allowed torque, N
+    m.
+    """
 
     name = "torque"
 

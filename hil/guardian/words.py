@@ -21,9 +21,11 @@ def now() -> int:
 
 
 class Word(IntEnum):
-    """DUE: when the next sign of life is due, 0 while none is. LATEST: when the torque must be off in any case, 0 for
-    never; both written by the guarded process. ALIVE: when the guardian last looked. FIRED: why it switched the torque
-    off, see `Reason`; 0 before. Written by the guardian.
+    """The numbers in the memory that the guardian shares with the guarded process.
+
+    Written by the guarded process: DUE, when its next sign of life is due (0: none is expected), and LATEST, when the
+    torque must be off in any case (0: never). Written by the guardian: ALIVE, when it last checked, and FIRED, why it
+    switched the torque off (a `Reason`; 0: it did not).
     """
 
     DUE = 0

@@ -168,9 +168,10 @@ def _turning_smoothly(
 
 @dataclass(frozen=True, slots=True)
 class _Considered:
-    """The terms that model selection may include. rarer: considered only if the others do not describe the recording.
+    """The terms that model selection may include.
 
-    accounts: the terms by which the torque reading may be delayed.
+    rarer: terms that are considered only if the others do not describe the recording. accounts: the terms that can
+    explain a delay of the torque reading, such as a skew.
     """
 
     terms: tuple[str, ...]

@@ -164,8 +164,10 @@ class Criterion:
         return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0
 
     def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
-        """Return the gain of `more` parameters by the likelihood ratio of `count` samples; alike: their correlation
-        factor.
+        """Return by how much the criterion improves with `more` additional parameters, after their cost is subtracted.
+
+        ratio: twice the log likelihood ratio of the larger model to the smaller one. count: number of samples. alike:
+        the factor by which correlated residuals reduce the number of independent samples.
         """
         return ratio / alike - self._cost(count, alike, more)
 

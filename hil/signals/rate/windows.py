@@ -72,7 +72,7 @@ class Window:
 
     @property
     def widest(self) -> int:
-        """The larger number of neighbours a side."""
+        """Return the number of neighbours on each side of a sample in the widest of the window's filters."""
         return max(self.slope, self.curvature, self.low_pass.half if self.low_pass else 0)
 
     def moved(self, time: Array, dtheta: Array) -> tuple[Array, Array, Array]:

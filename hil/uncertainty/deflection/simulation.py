@@ -51,8 +51,10 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
 
 
 def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
-    """Yield pairs of motions with the errors of deflection and rate added once more, with either sign, drawn anew each
-    time.
+    """Yield pairs of motions with additional errors, without end.
+
+    For each pair, errors of deflection and rate are drawn that are as large as those already in the recording; the
+    first motion has them added, the second one subtracted. window: the window that the rate is computed with.
     """
     smoothed = _smoothed_away(motion.whole[0], window)
     for errors in _errors(sampled(motion), window):

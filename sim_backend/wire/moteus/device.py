@@ -1,10 +1,10 @@
 """One moteus on a CAN FD bus, with the plant behind its motor.
 
-Source: mjbots/moteus docs/protocol/registers.md, can.md, diagnostic.md and docs/reference/configuration.md. What they
-leave open: getting ready takes three commands; a refused register's error number is 1; a boot takes 0.1 s; torque is
-reported in steps of 2 mN m, the resolution of an analogue converter. Ki has no effect. Modes that drive the phases
-themselves (PWM, voltage, voltage FOC, inductance) need a rotor that the plant has not: they end in the fault "motor not
-configured".
+Source: mjbots/moteus docs/protocol/registers.md, can.md, diagnostic.md and docs/reference/configuration.md. These
+documents do not state the following, which is assumed here: a motor that is switched on follows set-points from the
+third command on; the error number of a refused register is 1; a boot takes 0.1 s; torque is reported in steps of 2 mN
+m, the resolution of an analogue converter. Ki has no effect. Modes that drive the phases directly (PWM, voltage,
+voltage FOC, inductance) need a model of the rotor, which the plant lacks: they end in the fault "motor not configured".
 """
 
 from __future__ import annotations
