@@ -14,7 +14,7 @@ from hypothesis import settings
 
 from hil.recording import writer
 
-from .budget import (  # noqa: F401 - hooks  # noqa: F401 - hooks
+from .budget import (  # noqa: F401 - hooks
     pytest_runtest_logreport,
     pytest_runtest_makereport,
     pytest_runtest_setup,
