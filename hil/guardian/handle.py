@@ -125,7 +125,7 @@ class Guardian:
             )
         status = self._process.poll()
         since = (now() - self._words[Word.ALIVE]) * 1e-9
-        if status is None and (since < _FROZEN or not self._words[Word.ALIVE]):
+        if status is None and since < _FROZEN:
             return
         how = (
             f"ended with status {status}"

@@ -203,7 +203,9 @@ def main() -> None:
     except (OSError, ImportError) as error:
         _answer(str(error))
         return
-    guardian = Guardian(way, send, Parent(way["parent"], 0), Words(way["words"]))
+    words = Words(way["words"])
+    guardian = Guardian(way, send, Parent(way["parent"], 0), words)
+    words[Word.ALIVE] = now()  # before the answer: from then on the guarded process counts a guardian that is frozen
     _answer("ready")
     with contextlib.suppress(StandDown):
         guardian.fire(guardian.watch())
