@@ -1,1 +1,3 @@
-"""Servos: the interface (`drivers.servo`), its safety gate (`drivers.gate`) and one sub-package for each protocol."""
+"""The drivers of servos: their interface (`drivers.servo`), the safety gate (`drivers.gate`) and a sub-package for each
+protocol.
+"""

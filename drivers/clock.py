@@ -1,4 +1,4 @@
-"""Clocks: whose time a servo's samples carry."""
+"""The clocks from which the time stamps of a servo's samples are taken."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Whose time the recording keeps, in s from an arbitrary zero; it never goes back."""
+    """A source of time, in s from an arbitrary zero. The time never goes back."""
 
     def now(self) -> float:
         """Return the time now, s."""
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed."""
+        """Wait until the time `t`, s. Return at once if `t` has passed."""
 
 
 def machine_time() -> float:
-    """Return the machine's monotonic time, s, which counts the time that it is asleep where the system offers such.
+    """Return the computer's monotonic time, s. Where the operating system permits, it includes time asleep.
 
-    A drive may pull on while its computer is suspended: that must be time too.
+    A drive may keep its torque on while its computer is suspended, so that time must be counted.
     """
     return time.clock_gettime(time.CLOCK_BOOTTIME) if _COUNTS_SLEEP else time.monotonic()
 
@@ -29,14 +29,16 @@ _SPIN = 100e-6  # s before its time at which a sleep ends: the system wakes a pr
 
 
 class MonotonicClock:
-    """The time of `machine_time`: a step of the wall clock does not change it, and a suspended computer is late."""
+    """The clock of real stands. It returns `machine_time`: a step of the wall clock has no effect, and a suspended
+    computer shows as a delay.
+    """
 
     def now(self) -> float:
         """Return the time now, s."""
         return machine_time()
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` s or a few microseconds later; at once where `t` has passed."""
+        """Wait until the time `t`, s, or a few microseconds longer. Return at once if `t` has passed."""
         remaining = t - _SPIN - machine_time()
         if remaining > 0.0:
             time.sleep(remaining)
@@ -45,7 +47,7 @@ class MonotonicClock:
 
 
 class VirtualClock:
-    """Time that passes only when someone waits for it: for simulation, replay and tests."""
+    """A clock whose time advances only in `sleep_until`: for simulation, replay and tests."""
 
     def __init__(self) -> None:
         self._t = 0.0
@@ -55,6 +57,6 @@ class VirtualClock:
         return self._t
 
     def sleep_until(self, t: float) -> None:
-        """Let time pass until `t` s; no time passes where `t` is not later."""
+        """Advance the time to `t`, s. A `t` that has passed has no effect."""
         if t > self._t:  # noqa: PLR1730 - `max` takes five times as long, once a tick
             self._t = t

@@ -1,15 +1,16 @@
-"""The safety gate of a servo: which commands pass, and torque-off until the device confirms it.
+"""The safety gate of a servo: it checks every command, and requests torque-off until the device confirms it.
 
-Every servo holds one `Gate` and gives it two functions of its own protocol: one request for torque-off, and how to
-close the link. The rules stand here once:
+Every servo holds one `Gate` and gives it two functions of its own protocol: one that requests torque-off, and one that
+closes the link. The rules of the gate:
 
-* A command passes only while the servo is armed, in a quantity that it supports, finite, and clamped to the limits it
-  was armed with. Finiteness is checked before any clamp: `max(low, min(high, nan))` is full torque.
+* A command is sent only while the servo is armed, if the servo supports its quantity, and if its value is finite. The
+  value is clamped to the armed limits. Finiteness is checked before any clamp: `max(low, min(high, nan))` is full
+  torque.
 * Torque-off is requested until the device confirms it. `Gate.disarm` requests it three times,
   `drivers.torque_off.confirm_torque_off` repeats that for about one second.
-* Whatever fails while a servo is opened or armed, torque-off is requested before the error goes on.
+* When an error occurs while a servo is opened or armed, torque-off is requested before the error is raised further.
 * A drive with a watchdog stops by itself when no request arrives. `watchdog_problem` checks that one lost reply cannot
-  trip it. A tripped watchdog is a DeviceFault: the servo must be armed again.
+  trip the watchdog. A tripped watchdog is a DeviceFault: the servo must be armed again.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ from drivers.retry import Repeats
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
 
 _REQUESTS = 3
-"""Requests for torque-off in one call of `Gate.disarm`."""
+"""How many times one call of `Gate.disarm` requests torque-off."""
 
 
 class Admitted(NamedTuple):
-    """A command that passed. command: None if nothing is to be written. clipped: whether a limit changed it."""
+    """The result of `Gate.admit`. command: the clamped command; None if nothing is to be sent. clipped: whether a limit
+    changed the command.
+    """
 
     command: Command | None
     clipped: bool
@@ -36,12 +39,14 @@ class Admitted(NamedTuple):
 class Gate:
     """The safety state of one servo: disarmed, armed or closed.
 
-    name: the link, for messages. quantities: the set-points that the servo supports. torque_off: makes one request for
-    torque-off, given the number of this request from 0, and returns only when the device has confirmed it; raises
-    DriverError where it has not. release: closes the link. mode_key: the key in stand.toml that selects the quantity.
-    repeats: of the link, whose lost requests are made again while the servo is opened and armed, and only then.
+    name: name of the link in messages. quantities: the set-points that the servo supports. torque_off: a function that
+    makes one request for torque-off, given the number of the request from 0. It returns when the device has confirmed,
+    and raises DriverError if the device has not. release: a function that closes the link. mode_key: the key in
+    stand.toml that selects the quantity. repeats: the object that repeats requests whose reply was lost, used only
+    while the servo is opened and armed.
 
-    live: whether current may flow. It begins as True, because an earlier program may have left the device armed.
+    live: whether current may flow in the motor. Starts as True, because an earlier program may have left the device
+    armed.
     """
 
     def __init__(
@@ -66,12 +71,12 @@ class Gate:
 
     @property
     def limits(self) -> Limits | None:
-        """The limits the servo was armed with; None while it is disarmed."""
+        """The limits with which the servo was armed; None while it is disarmed."""
         return self._limits
 
     @property
     def armed(self) -> bool:
-        """Return whether set-points are sent."""
+        """Return whether the servo is armed: only then are set-points sent."""
         return self._limits is not None
 
     def require_open(self) -> None:
@@ -80,10 +85,11 @@ class Gate:
             raise LinkLost(f"{self._name} is closed")
 
     def admit(self, command: Command) -> Admitted:
-        """Check a command and clamp it to the limits.
+        """Check a command, clamp it to the limits, and return it.
 
-        `Command.rest()` always passes; it writes nothing while disarmed or where the servo has no torque set-point.
-        Raises UnsafeCommand for every other command that must not reach the device, LinkLost if the servo is closed.
+        `Command.rest()` is always allowed; nothing is sent for it while disarmed or if the servo takes no torque
+        set-point. Raises UnsafeCommand for every other command that must not reach the device, LinkLost if the servo is
+        closed.
         """
         if not math.isfinite(command.value):
             raise UnsafeCommand(f"set-point {command.value} is not a number: nothing was sent")
@@ -108,10 +114,10 @@ class Gate:
 
     @contextlib.contextmanager
     def opening(self, undo: Callable[[], None] = lambda: None) -> Iterator[None]:
-        """Guard the block that identifies the device and requests torque-off for the first time.
+        """Context manager for the block that identifies the device and requests torque-off for the first time.
 
-        Where it fails, `undo` sends torque-off without waiting for a reply, or restores the settings that were changed,
-        and the link is closed.
+        If the block raises, `undo` is called and the link is closed. `undo` sends torque-off without waiting for a
+        reply, or restores the settings that were changed.
         """
         try:
             with self._repeats.active((NoReply,)):  # a garbled reply may be that of two devices
@@ -127,9 +133,10 @@ class Gate:
 
     @contextlib.contextmanager
     def arming(self, limits: Limits) -> Iterator[None]:
-        """Guard the block that enables the device; the servo is armed with `limits` when the block ends.
+        """Context manager for the block that enables the device. When the block ends, the servo is armed with `limits`.
 
-        Where the block fails, torque-off is requested and the error goes on. Raises LinkLost if the servo is closed.
+        If the block raises, torque-off is requested and the error is raised further. Raises LinkLost if the servo is
+        closed.
         """
         self.require_open()
         self._limits = None
@@ -144,21 +151,23 @@ class Gate:
         self._limits = limits
 
     def fall_silent(self) -> None:
-        """Send no set-point any more and leave the device as it is: its torque may be on.
+        """Stop sending set-points and leave the device as it is: its torque may be on.
 
-        `Command.rest()` only reads from now on, as on a disarmed servo, and `disarm` still requests torque-off.
+        `Command.rest()` only reads from now on, as on a disarmed servo. `disarm` still requests torque-off.
         """
         self._limits = None
 
     def force_off(self) -> None:
-        """Disarm a device that may be live although it was disarmed. Raises as `disarm`."""
+        """Request torque-off even if the servo counts as disarmed: its device may still be live. Raises as `disarm`."""
         self.live = True
         self.disarm()
 
     def disarm(self) -> None:
-        """Request torque-off up to three times, until the device confirms it. No effect where it is off already.
+        """Request torque-off up to three times, until the device confirms it. Has no effect if the torque is off
+        already.
 
-        Raises LinkLost if the link is gone, else DriverError, where it is not confirmed; it may be called again.
+        If the device does not confirm, raises LinkLost if the link is gone, else DriverError; `disarm` may then be
+        called again.
         """
         self._limits = None
         if not self.live or self._closed:
@@ -176,9 +185,10 @@ class Gate:
         raise kind(f"torque-off is not confirmed ({reason}): the motor may be live; cut the drive's power") from reason
 
     def close(self, restore: Callable[[], None] | None = None) -> None:
-        """Request torque-off, `restore` what was changed in the device, and close the link. Never raises DriverError.
+        """Request torque-off, call `restore` to restore the device's settings, and close the link. Never raises
+        DriverError.
 
-        No effect where the servo is closed already. To know that the torque is off, call `disarm` first.
+        Has no effect if the servo is closed already. To be sure that the torque is off, call `disarm` first.
         """
         if self._closed:
             return
@@ -195,14 +205,16 @@ class Gate:
 
 @runtime_checkable
 class FallsSilent(Protocol):
-    """A servo that can stop sending set-points while its torque is on, so that its watchdog can be tried."""
+    """A servo that can stop sending set-points while its torque is on, so that its watchdog can be tested."""
 
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`."""
 
 
 def to_counts(value: float, lsb: float) -> int:
-    """Return `value` in counts of `lsb`, rounded. Raises UnsafeCommand if the number cannot be encoded."""
+    """Return `value` divided by `lsb` (the value of one count), rounded. Raises UnsafeCommand if the number cannot be
+    encoded.
+    """
     counts = value / lsb
     if not math.isfinite(counts):
         raise UnsafeCommand(f"set-point {value} cannot be encoded in counts of {lsb}: nothing was sent")
@@ -210,7 +222,11 @@ def to_counts(value: float, lsb: float) -> int:
 
 
 def watchdog_problem(table: str, watchdog: float, reply_timeout: float) -> str:
-    """Return the reason why a watchdog of `watchdog` s (0: none) is too short in [`table`] of stand.toml, else ""."""
+    """Return why a watchdog of `watchdog` s (0: none) is too short for a reply that takes `reply_timeout` s; "" if it
+    is not.
+
+    table: name of the table in stand.toml, for the message.
+    """
     if not 0.0 < watchdog < 2.0 * reply_timeout:
         return ""
     return (
@@ -220,6 +236,6 @@ def watchdog_problem(table: str, watchdog: float, reply_timeout: float) -> str:
 
 
 def check_watchdog(table: str, watchdog: float, reply_timeout: float) -> None:
-    """Raise ValueError if `watchdog_problem` finds a reason."""
+    """Raise ValueError with the text of `watchdog_problem` if it is not ""."""
     if problem := watchdog_problem(table, watchdog, reply_timeout):
         raise ValueError(problem)

@@ -1,7 +1,7 @@
-"""How another process switches a drive's torque off over a link that this process has open.
+"""How another process switches off the torque of a drive whose link this process has open.
 
-A process that was killed or is frozen sends nothing. Each adapter therefore gives the frames that switch its drive off
-without a reply, and those that restore what a run changed in it, as bytes for its link: see `OffPath`.
+A process that was killed or is frozen sends nothing. Each driver therefore gives, as bytes for its link, the frames
+that switch the torque off without a reply and the frames that restore the drive's settings: see `OffPath`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 INTERVAL = 5e-3
-"""s from one sending of the frames to the next, on a line that is fast enough."""
+"""s between two sendings of the torque-off frames, on a line that is fast enough."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnBus:
-    """A bus that the other process opens a second time: interface and channel of python-can, bit/s."""
+    """A bus that the other process opens itself. interface, channel: names of python-can. bitrate, data_bitrate:
+    bit/s.
+    """
 
     interface: str
     channel: str
@@ -26,13 +28,13 @@ class OwnBus:
 
 @dataclass(frozen=True, slots=True)
 class OffPath:
-    """The frames that switch the torque off, and the way to the drive.
+    """The frames that switch a drive's torque off, and the open link through which another process sends them.
 
-    off: frames that switch the torque off; they need no reply and may be repeated. restore: frames that restore the
-    drive's settings afterwards, in their order. resync: bytes that end a frame which was cut off in the middle.
-    descriptor: of the open port or socket, which a child process inherits; -1 where there is none. to: address and port
-    to which a socket of datagrams sends. bus: where there is no descriptor to inherit; the frames are then slcan text.
-    interval: s from one sending of `off` to the next. name: of the link, for messages.
+    off: frames that switch the torque off; they need no reply and may be repeated. restore: frames that then restore
+    the drive's settings, in their order. resync: bytes that end a frame which was cut off in the middle. descriptor:
+    file descriptor of the open port or socket, which a child process inherits; -1 if there is none. to: address and
+    port to which a datagram socket sends. bus: the bus to open if there is no descriptor; the frames are slcan text
+    then. interval: s between two sendings of `off`. name: name of the link in messages.
     """
 
     off: tuple[bytes, ...]
@@ -46,7 +48,9 @@ class OffPath:
 
     @property
     def reachable(self) -> bool:
-        """Return whether another process can reach the drive: not where it is simulated in this one."""
+        """Return whether another process can reach the drive: it cannot reach a drive that is simulated in this
+        process.
+        """
         return self.descriptor >= 0 or self.bus is not None
 
 
@@ -55,21 +59,21 @@ class HasOffPath(Protocol):
     """A servo whose torque another process can switch off."""
 
     def off_path(self) -> OffPath:
-        """Return the way, with the settings to restore that have been changed so far."""
+        """Return the frames and the link. `restore` holds the settings that have been changed so far."""
         ...
 
 
 @runtime_checkable
 class HasJournal(Protocol):
-    """A servo that says when it is about to change a setting of its drive."""
+    """A servo that calls a function before it changes a setting of its drive."""
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting, when `off_path` restores it already."""
+        """Call `journal` before each write of a setting; at that moment `off_path` already restores this setting."""
         ...
 
 
 def descriptor_of(port: object) -> int:
-    """Return the descriptor of an open port or socket, -1 where it has none."""
+    """Return the file descriptor of an open port or socket, -1 if it has none."""
     try:
         number = port.fileno()  # type: ignore[attr-defined]  # a port of a test may have none
     except (AttributeError, OSError, ValueError):
@@ -78,5 +82,5 @@ def descriptor_of(port: object) -> int:
 
 
 def serial_interval(packets: tuple[bytes, ...], baudrate: int) -> float:
-    """Return the s between two sendings of `packets` on a line of `baudrate` bit/s, which is half idle then."""
+    """Return the s between two sendings of `packets`, such that a line of `baudrate` bit/s is idle half of the time."""
     return max(INTERVAL, 2.0 * 10.0 * sum(map(len, packets)) / baudrate)

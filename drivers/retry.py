@@ -1,4 +1,4 @@
-"""Asking again where a reply was lost or damaged."""
+"""Repeat a request whose reply was lost or damaged."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from typing import TypeVar
 from drivers.servo import BadReply, DriverError, NoReply
 
 ATTEMPTS = 3
-"""Requests that may be lost one after the other before the drive counts as silent."""
+"""How many times a request is made before the drive counts as silent."""
 
 T = TypeVar("T")
 
 
 def retry(request: Callable[[], T], on: tuple[type[DriverError], ...] = (NoReply, BadReply)) -> T:
-    """Return the result of `request`, which is made up to three times while it raises `on`. Raises its last error."""
+    """Return the result of `request()`. Call it up to three times while it raises an error of the types `on`. Raises
+    the last error.
+    """
     for _ in range(ATTEMPTS - 1):
         try:
             return request()
@@ -25,10 +27,11 @@ def retry(request: Callable[[], T], on: tuple[type[DriverError], ...] = (NoReply
 
 
 class Repeats:
-    """Whether a link makes a request again whose reply was lost: only in the block of `active`.
+    """Repeats a request whose reply was lost, but only inside a block of `active`.
 
-    A servo is opened and armed in such a block, where every request is idempotent and nothing is driven yet. In a run
-    the next tick is the next request, and a torque-off must not wait for the third reply to the request before it.
+    A servo is opened and armed in such a block: there every request may be repeated safely, and the motor is not driven
+    yet. During a run the next tick is the next request, and a torque-off must not wait for repetitions of an earlier
+    request.
     """
 
     def __init__(self) -> None:
@@ -36,7 +39,7 @@ class Repeats:
 
     @contextmanager
     def active(self, on: tuple[type[DriverError], ...] = (NoReply, BadReply)) -> Iterator[None]:
-        """Repeat requests in this block while they raise `on`."""
+        """Context manager: in its block, requests are repeated when they raise an error of the types `on`."""
         self._on = on
         try:
             yield
@@ -44,5 +47,5 @@ class Repeats:
             self._on = ()
 
     def __call__(self, request: Callable[[], T]) -> T:
-        """Return the result of `request`. Raises its last error."""
+        """Return the result of `request()`, repeated inside a block of `active`. Raises the last error."""
         return retry(request, self._on) if self._on else request()

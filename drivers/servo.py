@@ -1,15 +1,15 @@
-"""The one interface between the recorder and anything that turns a motor.
+"""The one interface between the recorder and every servo, real or simulated.
 
-Everything here is at the motor shaft, in SI: rad, rad/s, N m, s, degC, V. The gear ratio and the joint belong to
-the layer above. A `Servo` is one axis with one round trip a tick: write the set-point, read the state.
+Every quantity is at the motor shaft and in SI: rad, rad/s, N m, s, degC, V. The recorder, not the servo, knows the gear
+ratio and the joint. A `Servo` is one axis with one round trip in each tick: write the set-point, read the state.
 
 Rules of every servo, which `drivers.gate` implements and the contract tests check:
 
 * A set-point is bounded by `Limits.bound` before it is encoded: a NaN is refused, never clamped.
-* `disarm` and `close` may be called twice, at any time, on a latched or half-dead device, and leave the torque off.
-  Where that is not confirmed `disarm` raises a DriverError, and may be called again until it is; `close` never raises.
+* `disarm` and `close` may be called twice, at any time, on a latched or half-dead device, and leave the torque off. If
+  the device does not confirm this, `disarm` raises a DriverError and may be called again; `close` never raises.
 * Stopping means torque off. No servo holds a position to stop.
-* A lost reply is `NoReply` (data: the recorder counts a gap); a link that is gone is `LinkLost`.
+* A lost reply raises `NoReply` (the recorder stores it as a gap); a link that is gone raises `LinkLost`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Quantity(StrEnum):
 
 
 class Status(IntFlag):
-    """Flags of a sample; zero is a good sample."""
+    """Flags of a sample. A sample without flags (zero) is good."""
 
     NO_REPLY = 1
     """No reply in this tick; the row holds no measurement."""
@@ -41,22 +41,23 @@ class Status(IntFlag):
     SATURATED = 8
     """The torque limit or the current limit acted, or the set-point was clamped."""
     STALE = 16
-    """The drive's own clock has not changed since the sample before."""
+    """The drive's own clock has not advanced since the previous sample."""
     MISSED = 32
-    """The next tick was due already, so that nothing was sent: the drive kept the set-point before. Never alone, but
-    with NO_REPLY and LATE."""
+    """Nothing was sent, because the next tick was already due: the drive kept its previous set-point. Always set
+    together with NO_REPLY and LATE.
+    """
 
 
 class DriverError(Exception):
-    """A drive or its link did something other than what was asked."""
+    """A drive or its link did something other than what was requested. Base class of the errors below."""
 
 
 class LinkLost(DriverError, ConnectionError):
-    """The port or the bus is gone. The run ends; the motor may be live."""
+    """The serial port or the bus is gone. The run ends; the motor may be live."""
 
 
 def reason_of(error: object) -> str:
-    """Return an error in words, without the system's number."""
+    """Return the text of an error, without the operating system's error number."""
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
@@ -67,11 +68,11 @@ def link_lost(name: str, reason: object) -> LinkLost:
 
 
 class NoReply(DriverError, TimeoutError):
-    """No reply within the deadline. One is a gap in the data; several in a row end the run."""
+    """No reply arrived before the deadline. One lost reply is a gap in the data; several in a row end the run."""
 
 
 class BadReply(DriverError, ValueError):
-    """A reply that fails its checksum, its length or its identity."""
+    """A reply arrived, but its checksum, its length or its sender is wrong."""
 
 
 class DeviceFault(DriverError, RuntimeError):
@@ -86,28 +87,30 @@ class DeviceFault(DriverError, RuntimeError):
 
 
 class UnsafeCommand(DriverError, ValueError):
-    """A set-point that must not reach a drive: not finite, or sent while disarmed."""
+    """The set-point must not reach a drive: it is not finite, or the servo is disarmed."""
 
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: that takes three times as long to make, once a tick
 class Command:
-    """A set-point at the motor shaft: N m for torque, rad (the drive's own zero) for position. Never changed."""
+    """A set-point at the motor shaft. value: N m for a torque, rad from the drive's own zero for a position.
+    Immutable.
+    """
 
     quantity: Quantity
     value: float
 
     @classmethod
     def rest(cls) -> Self:
-        """Zero torque: the only set-point a disarmed servo accepts."""
+        """Return the set-point of zero torque, the only one that a disarmed servo accepts."""
         return cls(Quantity.TORQUE, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits that the drive must never exceed, at the motor shaft.
+    """The limits that the drive must never exceed, at the motor shaft.
 
-    torque: N m, magnitude. velocity: rad/s, magnitude. temperature: degC. position: rad, lowest and highest.
-    Raises ValueError if one is not a positive number or the positions are reversed.
+    torque: largest magnitude, N m. velocity: largest magnitude, rad/s. temperature: highest, degC. position: lowest and
+    highest, rad. Raises ValueError if a limit is not a positive number or the positions are reversed.
     """
 
     torque: float
@@ -140,13 +143,12 @@ class Limits:
 
 @dataclass(slots=True, unsafe_hash=True)  # not frozen: see Command
 class Sample:
-    """The result of one round trip, which nobody changes; NaN where the stand has no such sensor.
+    """The measurements of one round trip. Immutable. A value is NaN if the stand has no such sensor.
 
-    t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when another device read the
-    joint; NaN if none does. All on the servo's clock.
-    motor_position rad, motor_velocity rad/s, motor_torque N m: at the motor shaft.
-    joint_position rad, joint_torque N m: at the locked joint.
-    temperature degC, voltage V.
+    t: s, when the set-point was sent. t_read: s, the midpoint of the bus read. t_joint: s, when a separate sensor
+    measured the joint; NaN without such a sensor. All three are on the servo's clock. motor_position rad,
+    motor_velocity rad/s, motor_torque N m: at the motor shaft. joint_position rad, joint_torque N m: at the locked
+    joint. temperature degC, voltage V: of the drive.
     """
 
     t: float
@@ -171,12 +173,13 @@ class Sample:
 class ServoInfo:
     """The identity of a servo and the resolution of its readings.
 
-    quantities: the set-points it supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: one count at the motor
-    shaft, NaN if not known. torque_uncertainty: relative standard uncertainty of the torque scale, NaN where not
-    known. watchdog: s of silence after which the device turns its torque off by itself; 0 if it does not, or where
-    that is not known. watchdog_remedy: what to set so that it does; "" if it has no watchdog. serial_is_id: whether
-    `serial` is no more than its number on the bus, since it reports no serial number. measures_when_off: whether it
-    measures a torque while it is off; where not, its reading of zero then is no more than its word.
+    quantities: the set-points that the servo supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: the value
+    of one count at the motor shaft, NaN if not known. torque_uncertainty: relative standard uncertainty of the torque
+    scale, NaN if not known. watchdog: s of silence after which the device turns its torque off by itself; 0 if it never
+    does, or if that is not known. watchdog_remedy: which setting enables the watchdog; "" if the device has none.
+    serial_is_id: whether `serial` is only the servo's number on the bus, because the servo reports no serial number.
+    measures_when_off: whether the servo measures its torque while the torque is off; otherwise it only reports zero
+    without a measurement.
     """
 
     backend: str
@@ -195,7 +198,7 @@ class ServoInfo:
 
 
 class Servo(Protocol):
-    """One axis behind one link."""
+    """A motor axis that is commanded and read over one link."""
 
     @property
     def info(self) -> ServoInfo:
@@ -203,19 +206,19 @@ class Servo(Protocol):
 
     @property
     def clock(self) -> Clock:
-        """The clock of its samples: virtual for the simulator, monotonic for hardware."""
+        """The clock of the samples: virtual for the simulator, monotonic for hardware."""
 
     def arm(self, limits: Limits) -> None:
-        """Write the limits into the device where it has registers for them, then enable it at zero torque.
+        """Write the limits into the device, if it has registers for them, then enable the device at zero torque.
 
-        Raises DeviceFault if a fault is latched, DriverError if a limit is refused.
+        Raises DeviceFault if a fault is latched, DriverError if the device refuses a limit.
         """
 
     def exchange(self, command: Command) -> Sample:
-        """Write the set-point, read the state.
+        """Write the set-point and read the state.
 
-        A disarmed servo is only read, and accepts only `Command.rest()`.
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, DeviceFault.
+        A disarmed servo accepts only `Command.rest()`, for which it only reads. Raises UnsafeCommand, NoReply,
+        BadReply, LinkLost, DeviceFault.
         """
 
     def disarm(self) -> None:
@@ -226,12 +229,12 @@ class Servo(Protocol):
 
 
 class JointSensor(Protocol):
-    """A second device that reads the locked joint, on its own link."""
+    """A separate sensor at the locked joint, with its own link."""
 
     def read(self) -> tuple[float, float]:
         """Return the newest reading without waiting: its time, s on the servo's clock, and the joint torque, N m.
 
-        It returns the same reading again until there is a new one, so that the loop never waits for a slow sensor.
+        The same reading is returned until a newer one arrives, so that the control loop never waits for a slow sensor.
         Raises NoReply, BadReply, LinkLost.
         """
 

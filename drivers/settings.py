@@ -13,12 +13,12 @@ Value = TypeVar("Value")
 
 
 class Settings(Generic[Key, Value]):
-    """The settings of one device, which the functions `read` and `write` reach.
+    """The settings of one device, which the functions `read` and `write` access.
 
     same: a function that returns whether the value in the device equals the written value. kept: a function that
     returns whether a setting must be restored at the end, because the device stores it without power or a later program
     relies on it. journal: a function that is called before each write of a setting that will be restored; `changed`
-    already holds its old value then. Every method raises what `read` and `write` raise.
+    already holds the setting's old value then. Every method raises what `read` and `write` raise.
     """
 
     def __init__(
@@ -37,10 +37,10 @@ class Settings(Generic[Key, Value]):
         self.journal: Callable[[], None] = lambda: None
 
     def require(self, key: Key, value: Value, name: str = "", before: Value | None = None) -> None:
-        """Make a setting hold `value` and read it back. The setting is written only if it holds another value.
+        """Write `value` to the setting `key` and read it back. A setting that already has this value is not written.
 
-        name: of the setting in messages; "" for `key` itself. before: the present value, for a setting that cannot be
-        read yet. Raises DriverError if the device keeps another value.
+        name: name of the setting in messages; "" for `key` itself. before: the present value, for a setting that cannot
+        be read yet. Raises DriverError if the device then holds another value.
         """
         before = self._read(key) if before is None else before
         if self._same(before, value):
@@ -57,11 +57,13 @@ class Settings(Generic[Key, Value]):
             )
 
     def changed(self) -> list[tuple[Key, Value]]:
-        """Return the settings that `restore` writes and the values that they had, in its order."""
+        """Return the settings that `restore` will write, with their earlier values, in the order of writing."""
         return list(reversed(self._before.items()))
 
     def restore(self) -> None:
-        """Restore what `require` changed, the newest first, as far as the device accepts it."""
+        """Restore the settings that `require` changed, the newest first. A setting that the device refuses to restore
+        is skipped.
+        """
         while self._before:
             key, value = self._before.popitem()
             try:

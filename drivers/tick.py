@@ -1,4 +1,4 @@
-"""The servo's own clock: Realtime Tick(120), a count of milliseconds that wraps at 32768."""
+"""The clock of a DYNAMIXEL servo, Realtime Tick(120): a count of milliseconds that wraps at 32768."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ _SLACK = 2e-3  # s: two counts
 
 
 class Freshness(Enum):
-    """Whether a tick agrees with the time that has passed on the host."""
+    """Result of comparing the servo's clock with the host's clock: whether a sample is new and possible."""
 
     FRESH = "fresh"
     STILL = "still"
-    """The tick has not changed."""
+    """The servo's clock has not advanced since the previous sample."""
     IMPOSSIBLE = "impossible"
     """The sample was taken before its request, or the servo has been restarted."""
 
 
 class TickClock:
-    """Unwraps the tick and compares it with the host's clock.
+    """Unwraps the servo's tick and compares the tick with the host's clock.
 
-    A sample is taken between the sending of its request and the end of its reply, so between two samples the servo's
-    clock must move at least from the end of the one to the start of the next, and at most from start to end.
+    The servo takes a sample between the start of the request and the end of the reply. From one sample to the next the
+    servo's clock must therefore advance at least by the time from the end of the first reply to the start of the second
+    request, and at most by the time from the start of the first request to the end of the second reply.
     """
 
     def __init__(self) -> None:
@@ -33,7 +34,9 @@ class TickClock:
         self._last: tuple[int, float, float] | None = None
 
     def judge(self, tick: int, sent: float, received: float) -> Freshness:
-        """Judge a sample requested at `sent` and complete at `received`, s; an impossible one is not stored."""
+        """Compare the tick of a sample with the times at which it was requested (`sent`) and complete (`received`), s.
+        An impossible sample is not stored.
+        """
         if self._last is None:
             self._last = (tick, sent, received)
             return Freshness.FRESH
@@ -50,5 +53,5 @@ class TickClock:
         return Freshness.FRESH if moved > 0.0 else Freshness.STILL
 
     def restart(self) -> None:
-        """Accept the next sample without a comparison."""
+        """Store the next sample without a comparison."""
         self._last = None

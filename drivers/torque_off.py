@@ -1,4 +1,4 @@
-"""Torque-off until a servo confirms it, and whether what it reads afterwards bears that out."""
+"""Request torque-off until a servo confirms it, then check by torque or angle that the motor has stopped pulling."""
 
 from __future__ import annotations
 
@@ -8,18 +8,21 @@ from typing import NamedTuple
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Sample, Servo, ServoInfo
 
 _CALLS, _PAUSE = 20, 0.05
-"""Calls of `disarm` in `confirm_torque_off`, and s between two of them."""
+"""Most calls of `disarm` in `confirm_torque_off`, and the s between two calls."""
 _PULLS, _COUNTS, _READINGS, _SETTLES = 0.1, 3.0, 6, 0.01
-"""Share of the torque limit, and counts, that a motor without torque may report; readings, and s between two, that must
-say more. As many replies may be lost meanwhile: one that a bad link loses must not hide a motor that pulls."""
+"""A motor whose torque is off may report this share of the torque limit, or this number of counts. The torque counts as
+on only if so many readings in a row are larger; the last number is the s between two readings. As many replies may
+be lost: one lost reply must not hide a motor that pulls.
+"""
 _STAYS, _RETURNS, _ANGLE_COUNTS, _ANGLE = 0.5, 50, 5.0, 1e-3
-"""Share of the angle under load that may be left after so many readings; counts, or rad where these are not known, that
-this angle must have."""
+"""For a drive that cannot measure torque while off: the share of the angle under load that may remain after so many
+readings. The check needs an angle under load of so many counts, or so many rad if the count is not known.
+"""
 
 
 class Driven(NamedTuple):
-    """How a motor was driven before its torque-off: the limits, whose positions are as far on both sides of that at
-    rest, and the last reading.
+    """How a motor was driven before its torque-off. limits: the limits, whose position range is centred on the angle at
+    rest. last: the last reading.
     """
 
     limits: Limits
@@ -32,8 +35,10 @@ class Driven(NamedTuple):
 
     @property
     def turned(self) -> float:
-        """The angle by which its last torque had turned the motor, rad; NaN if that was less than a tenth of the
-        limit, or of the angle's where it measures no torque.
+        """The angle by which the last torque had turned the motor from rest, rad.
+
+        NaN if the last torque was less than a tenth of its limit; if no torque is measured, NaN if the angle was less
+        than a tenth of its limit.
         """
         turned = self.last.motor_position - self.rest
         share = self.last.motor_torque / self.limits.torque
@@ -43,10 +48,10 @@ class Driven(NamedTuple):
 
 
 class TorqueOff(NamedTuple):
-    """The result of `confirm_torque_off`.
+    """The result of `confirm_torque_off`. confirmed: whether the torque is off.
 
-    error: where it is not confirmed, the last error; where it is, an interrupt (such as KeyboardInterrupt) that arrived
-    meanwhile and is still to be obeyed, else None.
+    error: if the torque-off is not confirmed, the last error. If it is confirmed, an interrupt (such as
+    KeyboardInterrupt) that arrived meanwhile and that the caller must raise, else None.
     """
 
     confirmed: bool
@@ -54,7 +59,7 @@ class TorqueOff(NamedTuple):
 
     @property
     def alarm(self) -> str:
-        """The message for people to read first; "" where the torque is off."""
+        """The warning to show first; "" if the torque is off."""
         if self.confirmed:
             return ""
         reason = self.error.__cause__ if self.error is not None and self.error.__cause__ else self.error
@@ -64,10 +69,11 @@ class TorqueOff(NamedTuple):
 def confirm_torque_off(servo: Servo, driven: Driven | None = None) -> TorqueOff:
     """Call `disarm` until it succeeds, for about one second of the servo's clock. Never raises.
 
-    driven: where the motor was driven: a drive that says that it is off and still reports a tenth of the torque's
-    limit, in several readings, has not confirmed it, nor has one that measures no torque then and whose motor stays
-    where its last torque had turned it. The torque-off is repeated once it was read. No interrupt ends this early: a
-    live motor is worse than anything it could stand for.
+    driven: given if the motor was driven: then the drive's confirmation is checked. Torque-off is not confirmed if
+    several readings still show more than a tenth of the torque limit. For a drive that measures no torque while off, it
+    is not confirmed if the motor stays at the angle to which the last torque had turned it. After these readings
+    torque-off is requested once more. No interrupt ends this function early: a motor under torque is worse than any
+    delay.
     """
     last: BaseException | None = None
     for _ in range(_CALLS):
@@ -86,9 +92,9 @@ def confirm_torque_off(servo: Servo, driven: Driven | None = None) -> TorqueOff:
 
 
 def _read(servo: Servo, driven: Driven, interrupt: BaseException | None) -> TorqueOff:
-    """Return whether the motor's torque is gone, as far as the drive shows it.
+    """Read the servo until the motor's torque or angle shows that the torque is off. Never raises.
 
-    interrupt: one that arrived before and is still to be obeyed. Never raises.
+    interrupt: an interrupt that arrived earlier, stored in the result for the caller to raise.
     """
     pulls, readings, lost = "", 0, 0
     while True:
@@ -110,14 +116,14 @@ def _read(servo: Servo, driven: Driven, interrupt: BaseException | None) -> Torq
 
 
 def _torque_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
-    """Return what the motor's torque says against its torque-off, "" for nothing."""
+    """Return a message if the measured torque shows that the torque is still on, else ""."""
     most = max(_PULLS * driven.limits.torque, _COUNTS * info.torque_lsb if math.isfinite(info.torque_lsb) else 0.0)
     torque = sample.motor_torque
     return f"the drive says that it is off and still reports {torque:.2g} N m" if abs(torque) > most else ""
 
 
 def _angle_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
-    """Return what the motor's angle says against its torque-off, "" for nothing."""
+    """Return a message if the motor's angle shows that the torque is still on, else ""."""
     least = _ANGLE_COUNTS * info.position_lsb if math.isfinite(info.position_lsb) else _ANGLE
     left = (sample.motor_position - driven.rest) / driven.turned if abs(driven.turned) > least else math.nan
     if not left > _STAYS:
@@ -129,7 +135,9 @@ def _angle_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
 
 
 def _once_more(servo: Servo, result: TorqueOff) -> TorqueOff:
-    """Repeat the torque-off: an adapter may send a set-point where it should only read. Never raises."""
+    """Request torque-off again after the readings: a faulty driver may have sent a set-point instead of only reading.
+    Never raises.
+    """
     try:
         servo.disarm()
     except Exception:  # noqa: BLE001 - it has confirmed the first one

@@ -1,9 +1,9 @@
-"""A CAN bus over python-can: opened by configuration alone, with bounded waits and our own errors.
+"""Send and receive frames on a CAN bus with python-can. Every wait has a limit, and every error is a `DriverError`.
 
-This module corrects python-can in five places. Its `recv` measures time by the wall clock, which steps: the interface's
-own wait is called with a monotonic deadline. Its slcan raises for ever after one byte above 0x7F, waits 2 s to open,
-and takes no lock. Its configuration files are never read. A frame shorter than its length code is refused.
-udp_multicast hands on the frames that were sent through it: see `drivers.canbus.multicast`.
+This module corrects python-can in five places. The wait of `recv` is measured with the wall clock, which steps: here a
+monotonic deadline is used. The slcan interface raises for ever after one byte above 0x7F, waits 2 s to open, and takes
+no lock. python-can's configuration files are ignored. A frame with fewer bytes than its length code says is refused.
+udp_multicast returns the frames that this program sent: see `drivers.canbus.multicast`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 WRITE_TIMEOUT = 0.1
 """s that the interface may take to accept a frame; without a limit a stuck adapter would block for ever."""
 BUDGET = 2048
-"""Frames read at once; a bus with more of them counts as one that never falls silent."""
+"""Most frames that are read at once; a bus that has more frames to read counts as one that never falls silent."""
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
 _FD_CLOCK = 80_000_000
 _SLCAN_SETTLE = 0.05
@@ -43,12 +43,14 @@ _REMEDIES = REMEDIES | {
 _UNKNOWN = "it cannot be opened"
 _GONE: tuple[type[Exception], ...] = (can.CanError, *GONE)
 _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyError)
-"""The errors that slcan raises, or wraps, for bytes that are no frame; UnicodeDecodeError is a ValueError."""
+"""The errors that slcan raises, or wraps, for bytes that do not form a frame; UnicodeDecodeError is a ValueError."""
 
 
 @dataclass(frozen=True, slots=True)
 class BusConfig:
-    """The interface and channel of a bus. bitrate, data_bitrate: bit/s; data_bitrate above 0 opens CAN FD."""
+    """The configuration of a bus. interface, channel: names of python-can. bitrate: bit/s. data_bitrate: bit/s of the
+    data of CAN FD; a value above 0 opens CAN FD.
+    """
 
     interface: str
     channel: str
@@ -64,7 +66,11 @@ class BusConfig:
 def frame(
     ident: int, data: bytes = b"", *, remote: bool = False, extended: bool = False, fd: bool = False
 ) -> can.Message:
-    """Return a frame to send; fd: a CAN FD frame with the faster data rate."""
+    """Return a frame to send.
+
+    ident: its CAN identifier. remote: a remote frame, which asks for data. extended: a 29 bit identifier. fd: a CAN FD
+    frame with the faster data rate.
+    """
     return can.Message(
         arbitration_id=ident,
         data=data,
@@ -77,7 +83,9 @@ def frame(
 
 
 def _options(config: BusConfig) -> dict[str, Any]:
-    """Return the options of an interface beyond its name; each has its own for bit rates."""
+    """Return the arguments with which python-can opens the interface: each interface has other options for the bit
+    rates.
+    """
     fd = config.data_bitrate > 0
     if config.interface == "virtual":
         return {}
@@ -149,9 +157,9 @@ def _remedy(error: BaseException) -> str:
 
 
 class CanLink:
-    """An open bus. error_frames: how many error frames its controller has reported.
+    """An open CAN bus. error_frames: number of error frames that the CAN controller has reported.
 
-    bus: given by tests; otherwise the one that `config` names is opened. Raises DriverError with the remedy.
+    bus: an open bus, which tests pass; without it the bus of `config` is opened. Raises DriverError with the remedy.
     """
 
     def __init__(self, config: BusConfig, clock: Clock, bus: can.BusABC | None = None) -> None:
@@ -180,9 +188,9 @@ class CanLink:
             raise self._lost(error) from None
 
     def receive(self, deadline: float) -> can.Message | None:
-        """Return the next frame, None if none arrived by `deadline` s on the clock; reads at least once.
+        """Return the next frame; None if no frame arrived before `deadline`, s on the clock. Reads at least once.
 
-        Raises LinkLost, BadReply if the bytes are no frame.
+        Raises LinkLost, and BadReply if the received bytes do not form a frame.
         """
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
@@ -201,7 +209,9 @@ class CanLink:
         )
 
     def waiting(self) -> list[can.Message]:
-        """Return all received frames without waiting, without damaged ones. Raises LinkLost, BadReply."""
+        """Return all frames that have arrived, without waiting; damaged frames are dropped. Raises LinkLost,
+        BadReply.
+        """
         out: list[can.Message] = []
         for _ in range(BUDGET):
             try:
@@ -214,7 +224,9 @@ class CanLink:
         raise BadReply(f"{self.name} never falls silent: another program or a broken drive keeps talking on it")
 
     def off_path(self, off: Iterable[can.Message], restore: Iterable[can.Message] = ()) -> OffPath:
-        """Return the path that sends the frames `off`, and `restore` afterwards, on this bus."""
+        """Return how another process sends the frames `off`, which switch the torque off, and then `restore` on this
+        bus.
+        """
         config, bus = self._config, self._bus
         where: dict[str, Any] = {}
         encode: Encode = slcan_text
@@ -233,7 +245,7 @@ class CanLink:
         return OffPath(encoded(off, encode), encoded(restore, encode), name=self.name, **where)
 
     def close(self) -> None:
-        """Close the bus. Harmless when closed, or when the adapter is gone."""
+        """Close the bus. Has no effect if the bus is closed already or the adapter is unplugged."""
         if self._closed:
             return
         self._closed = True
@@ -260,7 +272,7 @@ class CanLink:
         return message
 
     def _unread(self) -> bool:
-        """Return whether a serial adapter has more bytes to read; it also sends lines that are no frames."""
+        """Return whether a serial adapter has more bytes to read: the adapter also sends lines that are not frames."""
         if self._port is None:
             return False
         try:
@@ -282,7 +294,7 @@ class CanLink:
 
 
 def _is_full(error: Exception) -> bool:
-    """Return whether a frame was refused because SocketCAN's queue or a serial adapter is full."""
+    """Return whether `error` means that the send queue of SocketCAN or of the serial adapter is full."""
     if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
         return True
     return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)

@@ -1,7 +1,8 @@
-"""python-can's udp_multicast without the frames that this program sent itself.
+"""A udp_multicast bus of python-can that does not return the frames which this program sent.
 
-A CAN controller does not receive its own frames, but a multicast socket does, and python-can hands them on. All sockets
-of the group share one port, so that the sender's address does not distinguish them: frames are compared.
+A CAN controller does not receive its own frames, but a multicast socket does, and python-can returns these frames. All
+sockets of a group share one port, so the sender's address does not tell who sent a frame. Received frames are therefore
+compared with the sent ones.
 """
 
 from __future__ import annotations
@@ -15,29 +16,30 @@ if TYPE_CHECKING:
     import can
 
 PORT = 43113
-"""The port of the group: python-can's own."""
+"""The UDP port of the multicast group, which is python-can's default."""
 _LIFETIME = 1.0
-"""s after which a frame that did not come back is forgotten."""
+"""s after which a sent frame that did not come back is forgotten."""
 
 _Key = tuple[int, bytes, int, bool, bool, bool, bool]
 
 
 class OwnFrames:
-    """The frames that were sent and have not come back yet.
+    """The frames that this program sent and has not received back yet.
 
-    Where another node sends an equal frame meanwhile, either may be taken for the own one: what remains is equal.
+    If another node sends an equal frame meanwhile, that frame may be dropped instead of ours. The frame that remains is
+    equal, so the result is the same.
     """
 
     def __init__(self) -> None:
         self._sent: list[tuple[float, _Key]] = []
 
     def note(self, message: can.Message, now: float) -> None:
-        """Note a frame that is sent at `now`, s."""
+        """Remember a frame that this program sends at `now`, s."""
         self._sent = [(at, key) for at, key in self._sent if now - at < _LIFETIME]
         self._sent.append((now, _key(message)))
 
     def has(self, message: can.Message, now: float) -> bool:
-        """Return whether a frame received at `now`, s, is one of them, which is forgotten then."""
+        """Return whether a frame received at `now`, s, was sent by this program. If so, the frame is forgotten."""
         key = _key(message)
         for place, (at, sent) in enumerate(self._sent):
             if sent == key and now - at < _LIFETIME:
@@ -47,7 +49,7 @@ class OwnFrames:
 
 
 class MulticastBus(UdpMulticastBus):
-    """A bus in the multicast group `channel` that stays on this machine."""
+    """A bus in the multicast group `channel`. Its frames do not leave this computer."""
 
     def __init__(self, channel: str) -> None:
         self._own = OwnFrames()

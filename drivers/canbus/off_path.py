@@ -1,4 +1,4 @@
-"""Frames as the bytes that another process writes to an interface that this one has open: see `drivers.off_path`."""
+"""Encode CAN frames as bytes, so that another process can send them to the CAN interface: see `drivers.off_path`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Encode = Callable[[can.Message], bytes]
 
 
 def slcan_text(message: can.Message) -> bytes:
-    """Return a frame as a serial CAN adapter takes it, with the line end."""
+    """Return the text with which a serial CAN adapter (slcan) sends the frame, with the line end."""
     letter = ("b" if message.bitrate_switch else "d") if message.is_fd else "r" if message.is_remote_frame else "t"
     head = (
         f"{letter.upper()}{message.arbitration_id:08X}"
@@ -31,7 +31,7 @@ def slcan_text(message: can.Message) -> bytes:
 
 
 def from_slcan_text(text: bytes) -> can.Message:
-    """Return the frame of `slcan_text`."""
+    """Decode the text that `slcan_text` returns to a frame."""
     letter = chr(text[0])
     end = 9 if letter.isupper() else 4
     return can.Message(
@@ -45,23 +45,24 @@ def from_slcan_text(text: bytes) -> can.Message:
 
 
 def socketcan_bytes(message: can.Message) -> bytes:
-    """Return a frame as a CAN socket of Linux takes it."""
+    """Return the bytes that a SocketCAN socket of Linux takes for the frame."""
     from can.interfaces.socketcan.socketcan import build_can_frame
 
     return bytes(build_can_frame(message))
 
 
 def datagram(message: can.Message) -> bytes:
-    """Return a frame as python-can's udp_multicast sends it."""
+    """Return the datagram in which python-can's udp_multicast sends the frame."""
     from can.interfaces.udp_multicast.utils import pack_message
 
     return bytes(pack_message(message))
 
 
 def sender(config: Mapping[str, Any]) -> Callable[[bytes], None]:
-    """Return the function that sends the frame of a text, on a bus of `config` that is opened for it.
+    """Open the bus of `config` and return a function that sends one frame, given as the text of `slcan_text`.
 
-    It and the function raise OSError where the bus cannot be opened, or refuses a frame.
+    This call raises OSError if the bus cannot be opened; the returned function raises OSError if the bus refuses the
+    frame.
     """
     from drivers.canbus.link import BusConfig, open_interface
 
@@ -80,5 +81,5 @@ def sender(config: Mapping[str, Any]) -> Callable[[bytes], None]:
 
 
 def encoded(messages: Iterable[can.Message], encode: Encode) -> tuple[bytes, ...]:
-    """Return the bytes of each frame."""
+    """Return each frame as bytes, encoded by the function `encode`."""
     return tuple(encode(message) for message in messages)

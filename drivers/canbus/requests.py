@@ -1,11 +1,11 @@
-"""Requests to one drive on a CAN bus, and which of the received frames are the replies.
+"""Requests to one drive on a CAN bus. The module finds the replies among the received frames.
 
-A CAN reply carries no sequence number, so a reply after its deadline would be taken for the reply to the next request.
-After a lost reply nothing is requested until the replies that are still due have arrived or `LATE` has passed; then
+A CAN reply carries no sequence number, so a reply that arrives after its deadline would be taken for the reply to the
+next request. After a lost reply nothing is requested until the missing replies have arrived or `LATE` has passed; then
 all received frames are discarded.
 
-Frames do not overtake each other. A drive may also send some kinds of frames cyclically; of those the last one before
-the end of the exchange counts. The kind that is requested last should be one that the drive sends only on request.
+Frames do not overtake each other. A drive may also send some kinds of frames cyclically; of these the last frame before
+the end of the exchange is used. The kind that is requested last should be one that the drive sends only on request.
 """
 
 from __future__ import annotations
@@ -24,20 +24,21 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 LATE = 0.02
-"""s after its deadline that a reply may still arrive; after that it is lost."""
+"""s after the deadline in which a reply may still arrive; a reply that has not arrived then is lost."""
 SECOND_REPLY = 0.004
-"""s in which a second drive with the same id would have replied."""
+"""s to wait for the reply of a second drive with the same id."""
 
 Classify = Callable[["can.Message"], Hashable | None]
-"""Returns the kind of a frame from our drive; None for a frame of another node."""
+"""A function that returns the kind of a frame if our drive sent the frame, and None if another node did."""
 
 
 class Requests:
-    """Requests to the drive `name` and its replies. timeout: s that a reply may take.
+    """Send requests to the drive `name` and return its replies. timeout: s to wait for the replies to a request.
 
-    on_cyclic: receives every frame of the drive that is no reply, such as heartbeats. only_on_request: the kinds that
-    the drive sends only on request; unrequested: how many of each arrived without one: late replies, or those of a
-    second drive. repeats: whether `ask` repeats what was lost.
+    classify: returns the kind of a frame. on_cyclic: called with every frame of the drive that is no reply, such as a
+    heartbeat. only_on_request: the kinds that the drive sends only on request. unrequested: number of frames of each
+    such kind that arrived without a request: late replies, or replies of a second drive. repeats: whether `ask` repeats
+    a request whose reply is lost.
     """
 
     def __init__(
@@ -63,15 +64,15 @@ class Requests:
         self.unrequested: Counter[Hashable] = Counter()
 
     def ask(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
-        """Send `frames` and return the data of one reply of each wanted kind.
+        """Send `frames` and return the data of one reply of each kind in `wanted`.
 
-        Raises NoReply, BadReply if a reply is cut short, LinkLost.
+        Raises NoReply, LinkLost, and BadReply if a reply is shorter than its length code says.
         """
         frames, wanted = list(frames), list(wanted)
         return self.repeats(lambda: self.ask_once(frames, wanted))
 
     def ask_once(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
-        """Do as `ask`, for a request that must not be repeated when its reply is lost."""
+        """Send `frames` and return the replies as `ask` does, but never send the request again when a reply is lost."""
         self._settle()
         self.process()
         missing = Counter(wanted)
@@ -96,7 +97,9 @@ class Requests:
         return got
 
     def refuse_unrequested(self) -> None:
-        """Raise BadReply if a reply arrived without a request, once no more has arrived for `LATE`."""
+        """Raise BadReply if a reply arrived without a request. Before that, discard the frames that arrive within
+        `LATE`.
+        """
         self.process()
         if self.unrequested:
             self.wait_until(LATE, lambda: False)
@@ -112,9 +115,10 @@ class Requests:
             raise garbled(self.name, "it answers twice")
 
     def send_now(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> None:
-        """Send `frames` at once, without waiting for replies that are still due: torque-off must not wait.
+        """Send `frames` at once, without waiting for the replies to earlier requests: torque-off must not wait.
 
-        The replies of the kinds `wanted` become due. Raises NoReply if the bus accepts no frame, LinkLost.
+        wanted: the kinds of the replies that the drive will send. Raises LinkLost, and NoReply if the bus accepts no
+        frame.
         """
         self._due.update(wanted)
         for message in frames:
@@ -131,7 +135,9 @@ class Requests:
             self._take(message)
 
     def wait_until(self, seconds: float, done: Callable[[], bool]) -> bool:
-        """Process frames until `done`, for at most `seconds`; return whether it is. Raises LinkLost."""
+        """Process frames until `done()` is true, for at most `seconds`. Return whether `done()` is true. Raises
+        LinkLost.
+        """
         end = self._clock.now() + seconds
         self.process()
         while not done() and self._clock.now() < end:
@@ -144,7 +150,7 @@ class Requests:
         return done()
 
     def _settle(self) -> None:
-        """Wait for replies that are still due, for at most `LATE`."""
+        """Wait for the missing replies to earlier requests, for at most `LATE`."""
         if self._due:
             self.wait_until(LATE, lambda: not self._due)
             self._due.clear()
@@ -169,7 +175,7 @@ class Requests:
 
 
 def garbled(name: str, reason: object) -> BadReply:
-    """Return the error for replies of the drive `name` that cannot be decoded while it is identified."""
+    """Return the error for the case that the replies of the drive `name` cannot be decoded during identification."""
     return BadReply(
         f"the replies of {name} cannot be understood ({reason}): two drives with that id, or a wrong bit rate; connect "
         "one drive alone and give each its own id"

@@ -49,5 +49,5 @@ class Cia402Config:
 
     @property
     def bus(self) -> BusConfig:
-        """The bus."""
+        """The configuration of the CAN bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)

@@ -1,4 +1,4 @@
-"""The identification of a CiA 402 drive, and the value of its counts in SI."""
+"""Identify a CiA 402 drive, and find the SI value of one count of its position, velocity and torque."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 _DEVICE_TYPE, _NAME = ObjectIndex(0x1000, 0), ObjectIndex(0x1008, 0)
 _IDENTITY = [ObjectIndex(0x1018, sub) for sub in (1, 2, 3, 4)]
 _REVOLUTIONS_PER_MINUTE = 0xB447
-"""Code of rev/min in CiA 303-2; in object 0x60A9 between a power of ten and a zero byte."""
+"""The code of the unit rev/min in CiA 303-2. In object 0x60A9 it stands between a power of ten and a zero byte."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """One count in SI: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN if not known."""
+    """The SI value of one count: position rad, velocity rad/s, torque N m. torque_constant: N m/A, NaN if not known."""
 
     position: float
     velocity: float
@@ -44,7 +44,7 @@ class Identity:
 
 
 class Nameplate:
-    """Reads the drive of `config`, which should have the objects of `profile`."""
+    """Reads identity and units of the drive of `config`. `profile` names the objects that the drive should have."""
 
     def __init__(
         self, config: Cia402Config, profile: Profile, objects: Objects, network: LinkedNetwork, link: CanLink
@@ -56,7 +56,9 @@ class Nameplate:
         self._link = link
 
     def identify(self) -> Identity:
-        """Return its identity. Raises NoReply, BadReply if several drives reply, DriverError for another kind."""
+        """Return model, serial number and firmware of the drive. Raises NoReply, BadReply if several drives reply,
+        DriverError for another kind of drive.
+        """
         try:
             kind = self._objects.get(_DEVICE_TYPE) & 0xFFFF
             self._check_alone()
@@ -74,7 +76,9 @@ class Nameplate:
         return Identity(self._name(), f"{serial:08x}", f"{revision >> 16:04x} (product 0x{product:08x})")
 
     def scale(self) -> Scale:
-        """Return the value of its counts. Raises DriverError if drive and stand file differ, or neither has it."""
+        """Return the SI value of one count. Raises DriverError if the drive contradicts the stand file, or if neither
+        states a value.
+        """
         reported = self._objects.get(self._profile.resolution) * self._profile.resolution_factor
         counts = self._agreed("resolution", self._config.resolution, reported, "counts a turn")
         constant = self._torque_constant()
@@ -91,7 +95,7 @@ class Nameplate:
             )
 
     def _check_kind(self) -> None:
-        """Raise DriverError if the drive lacks an object of its profile."""
+        """Raise DriverError if the drive lacks an object that its profile needs."""
         for place in (self._profile.target, self._profile.torque, self._profile.resolution, self._profile.speed_limit):
             try:
                 self._objects.get(place)

@@ -1,8 +1,8 @@
-"""The library canopen on a `CanLink`: no threads, our clock, every wait bounded.
+"""Use the library canopen on a `CanLink`: without threads, with the servo's clock and a limit on every wait.
 
-canopen's Network reads its bus in a thread and its SDO client waits on a queue by the wall clock. Both are replaced at
-the library's own interfaces: frames are sent by `send_message` and received by `notify`, and the bus is read while a
-reply is awaited. A tick's PDOs are exchanged by `drivers.canbus.requests`.
+canopen's Network reads the bus in a thread, and its SDO client waits on a queue with the wall clock. Both are replaced:
+`send_message` sends frames, `notify` receives frames, and the bus is read during the wait for an SDO reply. The PDOs of
+a tick are exchanged by `drivers.canbus.requests`.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ SYNC = 0x080
 _HEARTBEAT = 0x700  # and the node's id
 _TRIES = 3
 _SDO_TIMEOUT = 0.1
-"""s that an SDO may take: drives process them with low priority."""
+"""s to wait for an SDO reply: drives process SDOs with low priority."""
 _SDO_WAITS = 20
-"""Times that `LinkedNetwork.while_waiting` is called meanwhile."""
+"""How many times `LinkedNetwork.while_waiting` is called during `_SDO_TIMEOUT`."""
 
 
 class Refused(DriverError):
-    """The drive aborted a transfer. code: the abort code of CiA 301."""
+    """Error: the drive aborted an SDO transfer. code: the abort code of CiA 301."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -48,12 +48,12 @@ class Refused(DriverError):
 
     @property
     def missing(self) -> bool:
-        """Return whether the object does not exist."""
+        """Return whether the abort code says that the object does not exist."""
         return self.code in {0x06020000, 0x06090011}
 
 
 class _Sdo(SdoClient):
-    """An SDO client that reads the bus while it waits."""
+    """An SDO client that reads the CAN bus while it waits for a reply."""
 
     def __init__(self, network: LinkedNetwork, ident: int) -> None:
         dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]  # canopen is typed in parts
@@ -77,9 +77,11 @@ class _Sdo(SdoClient):
 
 
 class LinkedNetwork(Network):
-    """canopen's network on `link`, with node `ident`. The replies to a SYNC have the kinds "tpdo1" and "tpdo2".
+    """canopen's network on `link`, with the node `ident`. The drive's two replies to a SYNC have the kinds "tpdo1" and
+    "tpdo2".
 
-    while_waiting: is called while the reply to an SDO is awaited.
+    timeout: s to wait for the replies to a SYNC. while_waiting: a function that is called again and again during the
+    wait for an SDO reply.
     """
 
     def __init__(self, link: CanLink, clock: Clock, ident: int, timeout: float) -> None:
@@ -107,25 +109,25 @@ class LinkedNetwork(Network):
         self._link.send(frame(can_id, bytes(data or b""), remote=remote))
 
     def read(self, place: ObjectIndex) -> bytes:
-        """Return the data of an object. Raises NoReply, Refused, LinkLost, BadReply."""
+        """Read the object `place` by SDO and return its data. Raises NoReply, Refused, LinkLost, BadReply."""
         return self._transfer(place, None)
 
     def write(self, place: ObjectIndex, data: bytes) -> None:
-        """Write an object. Raises NoReply, Refused, LinkLost, BadReply."""
+        """Write `data` to the object `place` by SDO. Raises NoReply, Refused, LinkLost, BadReply."""
         self._transfer(place, data)
 
     def read_request(self, place: ObjectIndex) -> can.Message:
-        """Return the frame that requests an object; `late_replies` returns the reply."""
+        """Return the frame that requests the object `place`. `late_replies` returns the reply later."""
         return frame(self.node.sdo.rx_cobid, struct.pack("<BHB4x", 0x40, place.object, place.sub))
 
     def write_request(self, place: ObjectIndex, data: bytes) -> can.Message:
-        """Return the frame that writes up to 4 bytes to an object; nobody waits for the reply."""
+        """Return the frame that writes up to 4 bytes to the object `place`; its reply is ignored."""
         command = 0x23 | (4 - len(data)) << 2
         head = struct.pack("<BHB", command, place.object, place.sub)
         return frame(self.node.sdo.rx_cobid, head + data.ljust(4, b"\0"))
 
     def late_replies(self) -> Iterable[tuple[tuple[int, int], bytes]]:
-        """Return the replies to `read_request` so far: index and sub-index, and data."""
+        """Return the replies that have arrived to requests of `read_request`, each as ((index, sub-index), data)."""
         while True:
             try:
                 reply = self.node.sdo.responses.get_nowait()
@@ -160,7 +162,9 @@ class LinkedNetwork(Network):
         return self._kinds.get(ident, ident) if ident in self._kinds or ident in self.subscribers else None
 
     def _on_cyclic(self, kind: Hashable, data: bytes) -> None:
-        """Pass a frame of the node to canopen; one too short for it, or a heartbeat of no known state, is ignored."""
+        """Pass a frame of the node to canopen. A frame that is too short, or a heartbeat with an unknown state, is
+        ignored.
+        """
         if isinstance(kind, int) and data and (kind < _HEARTBEAT or data[0] & 0x7F in NMT_STATES):
             try:
                 self.notify(kind, bytearray(data), self._clock.now())

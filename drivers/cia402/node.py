@@ -1,7 +1,7 @@
-"""One CiA 402 drive on the bus: its PDO mapping, its limits, and its states from torque-off to enabled and back.
+"""One CiA 402 drive on the bus: its PDO mapping, limits and changes of state (enable, torque off).
 
-Objects that arming writes are read back, and restored when the drive is closed. PDO mapping and heartbeat times are in
-RAM; a reset of the node's communication restores them.
+Objects that arming writes are read back, and are restored when the drive is closed. The PDO mapping and the heartbeat
+times are in the drive's RAM; a reset of the node's communication restores them.
 """
 
 from __future__ import annotations
@@ -44,14 +44,16 @@ _OFF = 1 << 31
 _ASYNCHRONOUS, _EVERY_SYNC = 255, 1
 _DISABLE_VOLTAGE_OPTION = 2
 _SWITCHING = 0.5
-"""s for a change of state: a power stage measures its offsets first."""
+"""s to wait for a change of state: when switched on, a power stage first measures the offsets of its current
+sensors.
+"""
 
 TPDO1 = struct.Struct("<Hih")
-"""statusword, position, torque."""
+"""Layout of the drive's first PDO: statusword, position, torque."""
 TPDO2 = struct.Struct("<i")
-"""velocity."""
+"""Layout of the drive's second PDO: velocity."""
 RPDO1 = struct.Struct("<Hh")
-"""controlword, target."""
+"""Layout of the PDO sent to the drive: controlword, target."""
 
 
 class Node:
@@ -72,7 +74,7 @@ class Node:
     # -- opening ----------------------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Map the PDOs and start them; the torque must be off. Raises DriverError."""
+        """Map the PDOs and start them. The torque must be off. Raises DriverError."""
         self._restarted, self._stopped = False, True  # until this is done
         self.network.node.nmt.send_command(PRE_OPERATIONAL)
         ident = self._config.id
@@ -101,7 +103,11 @@ class Node:
             raise NoReply(f"CANopen node {self._config.id} sends no PDO on a SYNC") from None
 
     def _map(self, index: int, cob: int, objects: list[ObjectIndex], sizes: list[int], kind: int) -> None:
-        """Map `objects` to a PDO."""
+        """Map `objects` to one PDO.
+
+        index: its communication parameter (0x1400, 0x1800 ...). cob: its CAN identifier. sizes: bytes of each object.
+        kind: transmission type of CiA 301.
+        """
         parameter, mapping = index, index + 0x200
         self.objects.put(ObjectIndex(parameter, 1), cob | _OFF, 4)
         self.objects.put(ObjectIndex(mapping, 0), 0, 1)
@@ -114,7 +120,9 @@ class Node:
             raise DriverError(f"the drive refuses the PDO of object 0x{parameter:04X}: nothing was armed")
 
     def restore(self) -> None:
-        """Restore the objects and the PDO mapping. Never raises DriverError."""
+        """Restore the changed objects, and the PDO mapping by a reset of the node's communication. Never raises
+        DriverError.
+        """
         self.objects.restore()
         with contextlib.suppress(DriverError):
             if self._prepared:
@@ -123,9 +131,9 @@ class Node:
     # -- arming -----------------------------------------------------------------------------------------------------
 
     def clear_faults(self) -> None:
-        """Clear a lost heartbeat, or any fault where `reset_faults` is set.
+        """Clear the fault "heartbeat lost"; with `reset_faults`, clear every fault.
 
-        Raises DeviceFault with the drive's code for any other fault.
+        Raises DeviceFault with the drive's code for a fault that is not cleared.
         """
         if state_of(self.objects.get(STATUSWORD)) is not DriveState.FAULT:
             return
@@ -139,7 +147,7 @@ class Node:
         self.network.node.emcy.reset()  # type: ignore[no-untyped-call]  # canopen is typed in parts
 
     def limit(self, limits: Limits, scale: Scale) -> None:
-        """Write the limits; none is raised above the drive's own. Raises DriverError."""
+        """Write the limits into the drive. A limit of the drive that is lower already stays. Raises DriverError."""
         kind = self.profile
         if kind.torque_limit is not None:
             self._lower(kind.torque_limit, limits.torque / scale.torque, "torque limit")
@@ -151,7 +159,7 @@ class Node:
             self._lower(kind.temperature_limit, limits.temperature / kind.temperature_unit, "temperature limit")
 
     def enable(self) -> None:
-        """Set torque mode, zero torque and the watchdog, then enable. Raises DriverError, DeviceFault."""
+        """Set torque mode, zero torque and the watchdog, then enable the drive. Raises DriverError, DeviceFault."""
         self.objects.require(_MODE, self.profile.mode, "mode of operation")
         self.objects.put(self.profile.target, 0, 2)
         self.network.while_waiting = self.send_heartbeat  # once the drive watches it, a lost reply must not stop it
@@ -162,7 +170,7 @@ class Node:
             self.network.while_waiting = lambda: None  # a drive that is to stop must miss it
 
     def _watch(self) -> None:
-        """Make the drive watch our heartbeat."""
+        """Make the drive watch our heartbeat: it disables itself when the heartbeat stops."""
         if self._config.watchdog:
             self._require_abort_option()
             milliseconds = max(1, round(self._config.watchdog * 1e3))
@@ -193,7 +201,10 @@ class Node:
         self.objects.require(place, min(self.objects.get(place), wanted), what)
 
     def _reaches(self, done: Callable[[DriveState], bool], *, drive: bool = False) -> bool:
-        """Wait for a state that is `done`; `drive`: send the controlwords towards it. Raises DeviceFault."""
+        """Wait until `done` is true of the drive's state; return False if `_SWITCHING` passes first.
+
+        drive: whether to send the controlwords that lead to ENABLED; only then a fault raises DeviceFault.
+        """
         end = self._clock.now() + _SWITCHING
         while True:
             state = state_of(self.objects.get(STATUSWORD))
@@ -213,18 +224,20 @@ class Node:
     # -- running ----------------------------------------------------------------------------------------------------
 
     def state(self) -> tuple[int, int, int]:
-        """Return position, velocity and torque, in counts, by SDO: for a drive whose PDOs are off."""
+        """Read position, velocity and torque by SDO, in counts: for a drive whose PDOs are off."""
         position, velocity, torque = (
             self.objects.get(place, signed=True) for place in (_POSITION, _VELOCITY, self.profile.torque)
         )
         return position, velocity, torque
 
     def send_heartbeat(self, *, force: bool = False) -> None:
-        """Send our heartbeat if it is due."""
+        """Send our heartbeat if a quarter of the watchdog's time has passed. force: send it in any case."""
         self.network.requests.send(self.due_heartbeat(force=force))
 
     def due_heartbeat(self, *, force: bool = False) -> list[can.Message]:
-        """Return our heartbeat if a quarter of the watchdog's time has passed, else nothing."""
+        """Return the frame of our heartbeat if a quarter of the watchdog's time has passed, else no frame. force:
+        return it in any case.
+        """
         now = self._clock.now()
         if not self._config.watchdog or (now - self._last_heartbeat < 0.25 * self._config.watchdog and not force):
             return []
@@ -232,7 +245,7 @@ class Node:
         return [frame(0x700 + self._config.own_id, b"\x05")]
 
     def set_point(self, controlword: int, target: int) -> can.Message:
-        """Return the frame of a set-point."""
+        """Return the PDO with `controlword` and `target`, counts."""
         return frame(0x200 + self._config.id, RPDO1.pack(controlword, target))
 
     def sync(self) -> can.Message:
@@ -241,11 +254,13 @@ class Node:
 
     @property
     def away(self) -> bool:
-        """Return whether a heartbeat since `prepare` reports that it was restarted or is not operational."""
+        """Return whether a heartbeat since `prepare` reported that the node was restarted or is not operational."""
         return self._restarted or self._stopped
 
     def error_code(self) -> int:
-        """Return the code of the latched fault: of its newest EMCY, else of its objects. Raises NoReply, LinkLost."""
+        """Return the code of the latched fault: from the newest EMCY, or by SDO if no EMCY arrived. Raises NoReply,
+        LinkLost.
+        """
         active = self.network.node.emcy.active
         if active:
             return int(active[-1].code)
@@ -255,7 +270,7 @@ class Node:
             return 0x1000
 
     def fault_in(self, state: DriveState) -> DeviceFault:
-        """Return the error for an armed drive in `state`."""
+        """Return the error to raise for an armed drive whose state is `state`, not ENABLED."""
         if self._restarted:
             return fault(RESTARTED)
         if state not in {DriveState.FAULT, DriveState.REACTING}:
@@ -268,9 +283,11 @@ class Node:
     # -- stopping ---------------------------------------------------------------------------------------------------
 
     def stop(self, *, wake: bool = False) -> None:
-        """Switch the torque off by PDO at once, and by SDO with a read-back. Raises DriverError if it is still on.
+        """Send torque-off by PDO at once, then by SDO, and read the state back. Raises DriverError if the torque is
+        still on.
 
-        wake: make the node pre-operational in between, since a stopped one accepts neither; its PDOs are off then.
+        wake: set the node to pre-operational between PDO and SDO, because a stopped node accepts neither; this turns
+        its PDOs off.
         """
         self.network.requests.send_now([self.set_point(DISABLE_VOLTAGE, 0)], [])
         if wake or self._stopped:
@@ -291,13 +308,15 @@ class Node:
         return [self.set_point(DISABLE_VOLTAGE, 0), self.network.write_request(CONTROLWORD, word)]
 
     def restoring(self) -> list[can.Message]:
-        """Return the frames that stop the drive from watching our heartbeat, and those of `restore`."""
+        """Return the frames that do what `release` and `restore` do: end the watch on our heartbeat and restore the
+        drive's settings.
+        """
         out = [self.network.write_request(_CONSUMER, bytes(4))] if self._config.watchdog else []
         out += [self.network.write_request(place, data) for place, data in self.objects.changed()]
         return [*out, frame(0x000, bytes([RESET_COMMUNICATION, self._config.id]))]
 
     def release(self) -> None:
-        """Stop the drive from watching our heartbeat. Raises DriverError."""
+        """End the drive's watch on our heartbeat. Raises DriverError."""
         if self._config.watchdog:
             self.objects.put(_CONSUMER, 0, 4)
 

@@ -10,9 +10,9 @@ from drivers.servo import DeviceFault
 from drivers.tables import table
 
 RESTARTED = -1
-"""Our code for a drive that was restarted during the run."""
+"""Fault code of this project: the drive was restarted during the run."""
 NOT_ENABLED = -2
-"""Our code for a drive that left the state it was armed into."""
+"""Fault code of this project: the drive left the state OPERATION ENABLED during the run."""
 HEARTBEAT_LOST = 0x8130
 
 
@@ -27,9 +27,10 @@ class ObjectIndex(NamedTuple):
 
 
 class Profile(BaseModel):
-    """One kind of drive: the indexes of its objects, None if it has none; each `_unit` is one count in SI.
+    """One kind of CiA 402 drive: the indexes of its objects (None: it lacks the object). A field `..._unit` is the SI
+    value of one count.
 
-    per_mille: whether set-point and torque are thousandths of the rated torque; otherwise they are mA.
+    per_mille: whether set-point and torque are in thousandths of the rated torque; otherwise they are in mA.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -46,7 +47,7 @@ class Profile(BaseModel):
     resolution_factor: int = 1
     vendor: int | None = None
     speed_limit_unit: float | None = None
-    """rad/s; None: that of velocity."""
+    """rad/s in one count of the speed limit; None: the same as one count of velocity."""
     velocity_unit: ObjectIndex | None = None
     rated_torque: ObjectIndex | None = None
     rated_torque_unit: float = 1e-3

@@ -1,6 +1,6 @@
-"""A search for CANopen nodes, for the case that the one of the stand file does not reply.
+"""Search for CANopen nodes, in case the node of the stand file does not reply.
 
-It uses the bit rate of the stand file only: frames at a wrong bit rate would disturb the other nodes.
+Only the bit rate of the stand file is used: frames at a wrong bit rate would disturb the other nodes.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
 
 _DEVICE_TYPE, _NAME = ObjectIndex(0x1000, 0), ObjectIndex(0x1008, 0)
 _PACE, _AFTER = 5e-4, 0.2
-"""s between two requests, since adapters queue few frames; s to wait for the last replies."""
+"""s between two requests, because adapters queue few frames; s to wait for the last replies."""
 
 
 def search(config: Cia402Config, clock: Clock | None = None, bus: can.BusABC | None = None) -> list[str]:
-    """Return a sentence for every CANopen node that replies; only read requests are sent.
+    """Return a sentence for every CANopen node that replies. Only read requests are sent.
 
-    clock, bus: those of the machine unless a test gives its own. Raises DriverError if the bus cannot be opened.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. Raises DriverError if the bus
+    cannot be opened.
     """
     clock = clock or MonotonicClock()
     link = CanLink(config.bus, clock, bus)

@@ -1,10 +1,11 @@
-"""CiA 402 drives on CANopen as a `drivers.servo.Servo`: EPOS4, EPOS2 and similar ones. See docs/cia402.md.
+"""CiA 402 drives on CANopen as a `drivers.servo.Servo`: EPOS4, EPOS2 and similar drives. See docs/cia402.md.
 
-A tick is a PDO with controlword and set-point, and a SYNC, to which the drive replies with two PDOs sampled at the
-SYNC: one with statusword, position and torque, one with velocity. Our heartbeat is sent with it when it is due. Every
-sixteenth tick also requests temperature or voltage and does not wait for the reply.
+In each tick the computer sends a PDO with controlword and set-point, then a SYNC. The drive replies with two PDOs,
+sampled at the SYNC: statusword, position and torque in the first, velocity in the second. When needed, our heartbeat is
+sent too. Every sixteenth tick also requests temperature or voltage, and does not wait for the reply.
 
-Torque-off is `disable voltage`. A quick stop, with the usual option code, would brake and then hold the shaft.
+Torque-off is the command `disable voltage`. A quick stop, with the usual option code, would brake and then hold the
+shaft.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ _LARGEST = 32767
 
 
 class Cia402Servo:
-    """One drive, opened, identified, its PDOs mapped, and without torque.
+    """One drive that is open and identified, with its PDOs mapped and its torque off.
 
-    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN, since the drive does
-    not report it. Raises DriverError if the bus cannot be opened or the drive is of another kind, NoReply if no
-    drive replies, BadReply if several do.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN,
+    since the drive does not report it. Raises DriverError if the bus cannot be opened or the drive is of another kind,
+    NoReply if no drive replies, BadReply if several drives reply.
     """
 
     def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -77,11 +78,11 @@ class Cia402Servo:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Write the limits into the drive and read them back, then enable it in its torque mode at zero torque.
+        """Write the limits into the drive and read them back, then enable the drive in torque mode at zero torque.
 
-        From then on the drive watches our heartbeat. A latched loss of the heartbeat is cleared. Raises DeviceFault
-        where another fault is latched, DriverError if a limit is refused or the drive is not enabled; the torque is
-        off then.
+        From then on the drive watches our heartbeat. A latched fault "heartbeat lost" is cleared. Raises DeviceFault if
+        another fault is latched, DriverError if the drive refuses a limit or is not enabled. The torque is off after an
+        error.
         """
         self._most = min(_LARGEST, math.floor(limits.torque / self._scale.torque * (1.0 + 1e-9)))
         with self._gate.arming(limits):
@@ -95,8 +96,8 @@ class Cia402Servo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the drive is in fault, was restarted,
-        or has left operation enabled.
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the drive is in fault, was restarted, or
+        has left the state OPERATION ENABLED.
         """
         admitted = self._gate.admit(command)
         if not self._gate.armed and self._node.away:
@@ -145,12 +146,14 @@ class Cia402Servo:
             self._node.release()
 
     def _set_point(self, torque: float) -> can.Message:
-        """Return the frame of a set-point of `torque` N m, in counts within the limit that was armed."""
+        """Return the PDO that commands `torque`, N m, converted to counts and clamped to the armed limit."""
         counts = to_counts(self._config.sign * torque, self._scale.torque)
         return self._node.set_point(ENABLE, max(-self._most, min(self._most, counts)))
 
     def _slow_request(self) -> list[can.Message]:
-        """Store the replies about temperature and voltage; return the next request when it is due."""
+        """Store the replies about temperature and voltage. Return the next such request in every sixteenth tick, else
+        nothing.
+        """
         kind = self._node.profile
         for place, data in self._node.network.late_replies():
             value = int.from_bytes(data, "little", signed=True)
@@ -165,7 +168,7 @@ class Cia402Servo:
         return [self._node.network.read_request(places[self._ticks // _EVERY % len(places)])]
 
     def _read_objects(self) -> Sample:
-        """Read position, velocity and torque of a drive whose PDOs are off."""
+        """Read position, velocity and torque by SDO, for a drive whose PDOs are off."""
         sent = self.clock.now()
         position, velocity, torque = self._node.state()
         sign, scale = self._config.sign, self._scale

@@ -7,11 +7,11 @@ from enum import Enum
 SHUTDOWN, SWITCH_ON, ENABLE = 0x06, 0x07, 0x0F
 DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 0x00, 0x02, 0x80
 LIMITING = 0x0800
-"""Bit of the statusword: an internal limit acts."""
+"""Bit of the statusword: an internal limit of the drive limits the torque."""
 
 
 class DriveState(Enum):
-    """The states of the power drive system."""
+    """The states of a drive in CiA 402."""
 
     NOT_READY = "not ready to switch on"
     DISABLED = "switch on disabled"
@@ -36,9 +36,11 @@ _PATTERNS = (
 )
 
 NEXT = {DriveState.DISABLED: SHUTDOWN, DriveState.READY: SWITCH_ON, DriveState.ON: ENABLE, DriveState.ENABLED: ENABLE}
-"""The controlword that leads towards ENABLED; the other states have none, or end by themselves."""
+"""The controlword that leads from a state towards ENABLED. A state that is missing here has no such controlword, or
+ends by itself.
+"""
 
 
 def state_of(statusword: int) -> DriveState:
-    """Return the state in a statusword."""
+    """Return the state that a statusword encodes."""
     return next((state for mask, value, state in _PATTERNS if statusword & mask == value), DriveState.UNKNOWN)

@@ -1,4 +1,4 @@
-"""Requests to a Commander, and which of the received lines are the replies."""
+"""Send commands to a SimpleFOC board with Commander, and find the replies among the received lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 LONGEST = 20
-"""Longest command in characters, with its line end, that fits the library's buffer."""
+"""Most characters of a command, with its line end, that fit the library's buffer."""
 _REPLY = 100  # bytes of the longest reply, for its time on the wire
 _SILENT_FOR = 5e-3  # s without a byte after which the line counts as silent
 _PATIENCE = 0.1  # s until the line must be silent
@@ -26,7 +26,7 @@ T = TypeVar("T")
 
 
 class CommanderLink:
-    """One board on one port. timeout: s that a reply may take beyond its time on the wire."""
+    """A board on a serial port. timeout: s to wait for a reply, in addition to its time on the wire."""
 
     def __init__(self, port: OpenPort, name: str, baudrate: int, clock: Clock, timeout: float) -> None:
         self.name = name
@@ -39,20 +39,24 @@ class CommanderLink:
         self.repeats = Repeats()
 
     def send(self, *commands: str) -> None:
-        """Write `commands`, each on a line, without waiting; a line end first completes any earlier partial command."""
+        """Write each command as a line, without waiting. A line end is sent first, to end a command that was cut
+        off.
+        """
         self._put("\n" + "".join(f"{command}\n" for command in commands))
 
     def ask(self, command: str, head: str) -> str:
-        """Send a command; return the rest of the reply that begins with `head`. Raises NoReply, BadReply, LinkLost.
+        """Send a command and return its reply without the leading `head`. Raises NoReply, BadReply, LinkLost.
 
-        A board prints its replies in order, so after a silent line the first one that fits is the reply.
+        A board prints its replies in order. If the line was silent before, the first line that begins with `head` is
+        the reply.
         """
         return self.exchange([command], lambda line: line[len(head) :] if line.startswith(head) else None, command)
 
     def exchange(self, commands: list[str], wanted: Callable[[str], T | None], what: str) -> T:
-        """Send `commands`, and return the first result of `wanted` that is not None for a received line.
+        """Send `commands` and apply `wanted` to each received line. Return the first result that is not None.
 
-        Raises NoReply if nothing arrived, BadReply if only other lines arrived, LinkLost.
+        what: name of the wanted reply in messages. Raises NoReply if nothing arrived, BadReply if only other lines
+        arrived, LinkLost.
         """
         return self.repeats(lambda: self._exchange_once(commands, wanted, what))
 
@@ -79,7 +83,7 @@ class CommanderLink:
         raise NoReply(f"no reply to {what} within {self._timeout * 1e3:.3g} ms beyond the wire's time")
 
     def listen(self, seconds: float, last: str = "") -> list[str]:
-        """Return the lines that arrive within `seconds`, or until `last` has arrived."""
+        """Return the lines that arrive within `seconds`; end earlier when the line `last` arrives."""
         end = self._clock.now() + seconds
         lines: list[str] = []
         while self._clock.now() < end and last not in lines:
@@ -87,7 +91,9 @@ class CommanderLink:
         return lines
 
     def off_path(self, commands: list[str]) -> OffPath:
-        """Return the path that sends `commands`; a line end first completes a line that was cut off."""
+        """Return how another process sends `commands` on this port. A line end is sent first, to end a command that was
+        cut off.
+        """
         off = tuple(f"{command}\n".encode("ascii") for command in commands)
         return OffPath(
             off=off,
@@ -131,7 +137,7 @@ class CommanderLink:
         return self._lines.feed(self._receive())
 
     def _receive(self) -> bytes:
-        """Return received bytes; wait a moment where there are none."""
+        """Return the bytes that have arrived. If there are none, wait for a moment first."""
         try:
             return self._port.read(min(max(1, self._port.in_waiting), _AT_ONCE))
         except GONE as error:
@@ -148,5 +154,5 @@ class CommanderLink:
 
 
 def shown(line: str) -> str:
-    """Return an unexpected line for a message."""
+    """Return an unexpected line as it is quoted in a message."""
     return repr(line if len(line) <= _SHOWN else line[:_SHOWN] + "...")

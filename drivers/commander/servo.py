@@ -1,7 +1,7 @@
 """A motor on a SimpleFOC board with Commander as a `drivers.servo.Servo`. Wiring and limits: docs/serial.md.
 
-A tick is one round trip of three lines: the target, `MMG7` for all measurements, `ME` for whether the motor is still
-enabled. Torque only: the current Iq is commanded and measured.
+A tick is one round trip of three lines: the target, `MMG7` for all measurements, and `ME` for whether the motor is
+still enabled. Only torque is commanded, as the current Iq, which the board also measures.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from drivers.commander.config import CommanderConfig
 
 STOPPED = 1
-"""Our code for a motor that the board has disabled by itself."""
+"""Fault code of this project: the board has disabled the motor by itself."""
 RESTARTED = 2
-"""Our code for a board that was restarted."""
+"""Fault code of this project: the board was restarted."""
 
 _WAKE = 0.25  # s between two requests to a board that may still be booting
 _MACHINE, _AWAKE = "@3", "@machine"  # the verbose mode in which replies name their command
@@ -45,11 +45,11 @@ _MODES = {"dc_current": ("1", "dc curr"), "foc_current": ("2", "foc curr")}
 
 
 class CommanderServo:
-    """One motor, opened, identified, and disabled.
+    """One motor that is open, identified and disabled.
 
-    clock, port: those of the machine unless a test gives its own. info: the counts and the version are not known, since
-    the board does not report them. Raises DriverError if the port cannot be opened or the board lacks the motor,
-    NoReply where no board replies, BadReply if the replies are not Commander's.
+    clock, port: given by tests; None uses the real clock and opens the port of `config`. In `info` the counts and the
+    firmware version are not known, since the board does not report them. Raises DriverError if the port cannot be
+    opened or the board lacks the motor, NoReply if no board replies, BadReply if the replies are not Commander's.
     """
 
     def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: OpenPort | None = None) -> None:
@@ -83,11 +83,11 @@ class CommanderServo:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Set torque mode and limits, each read back, and enable the motor at a target of zero.
+        """Set torque mode and limits and read them back, then enable the motor at a target of zero.
 
-        The current limit is the torque limit; before library 2.4 it does not act on a target in torque mode, which is
-        clamped here. The velocity limit acts in the board's velocity and angle modes only.
-        Raises DriverError if a setting is refused; the motor is disabled then.
+        The current limit is the torque limit. Before library 2.4 the board does not apply the current limit to a target
+        in torque mode, so the target is clamped here. The board applies the velocity limit only in its velocity and
+        angle modes. Raises DriverError if the board refuses a setting; the motor is disabled then.
         """
         current = limits.torque / self._config.torque_constant
         if current < RESOLUTION:
@@ -110,7 +110,7 @@ class CommanderServo:
     def exchange(self, command: Command) -> Sample:
         """Send the target and read the state in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the board was restarted or has disabled
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the board was restarted or has disabled
         the motor by itself.
         """
         admitted = self._gate.admit(command)
@@ -149,7 +149,7 @@ class CommanderServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`; nothing is restored, since a run changes nothing that the board keeps."""
+        """See `drivers.off_path`. No settings are restored, since the board stores nothing that a run changes."""
         return self._link.off_path([f"{self._m}E0", f"{self._m}0", f"{self._m}E0"])
 
     def _torque_off(self, _request: int) -> None:
@@ -165,7 +165,9 @@ class CommanderServo:
             self._link.close()
 
     def _wake(self) -> None:
-        """Send torque-off until the board replies; it acts on the first request that it receives."""
+        """Send torque-off until the board replies. The board switches the torque off at the first request that it
+        receives.
+        """
         config, m = self._config, self._m
         deadline = self.clock.now() + config.start
         lines: list[str] = []
@@ -180,7 +182,7 @@ class CommanderServo:
             self._link.listen(_WAKE)  # a board that was booting replies to every request
 
     def _raise_silent(self, lines: list[str]) -> None:
-        """Raise for a board that did not reply as a Commander does, from the `lines` that arrived."""
+        """Raise NoReply or BadReply for a board that did not reply as Commander does. lines: the lines that arrived."""
         config = self._config
         where = f"{config.port} at {config.baudrate} baud"
         if not lines:
@@ -215,11 +217,15 @@ class CommanderServo:
         self._confirm(f"#{DECIMALS}", "#", str(DECIMALS))
 
     def _stop_printing(self) -> None:
-        """Stop the motor's cyclic output; only a motor added with `commander.motor` has it."""
+        """Stop the motor's cyclic output. Only a motor that the program added with `commander.motor` has this
+        output.
+        """
         self._confirm(f"{self._m}MC", f"{self._m}MC", "clear")
 
     def _confirm(self, command: str, head: str, wanted: str) -> None:
-        """Send a command up to three times, until the reply is `wanted`. Raises NoReply, BadReply, LinkLost."""
+        """Send a command up to three times, until its reply, without the leading `head`, is `wanted`. Raises NoReply,
+        BadReply, LinkLost.
+        """
 
         def request() -> None:
             if self._link.ask(command, head) != wanted:
@@ -228,7 +234,9 @@ class CommanderServo:
         retry(request)
 
     def _set(self, command: str, head: str, wanted: str) -> None:
-        """Change a setting of the motor. Raises DriverError if the board does not confirm it."""
+        """Change a setting of the motor. head: start of the reply. wanted: the value to read back. Raises DriverError
+        if the board does not confirm it.
+        """
         reply = self._link.ask(f"{self._m}{command}", f"{self._m}{head}")
         if reply != wanted:
             raise DriverError(
@@ -236,7 +244,9 @@ class CommanderServo:
             )
 
     def _limit(self, command: str, value: float, name: str) -> None:
-        """Set a limit, rounded down, and read it back. Raises DriverError if the board has another."""
+        """Set the limit called `name` to `value`, rounded down, and read it back. Raises DriverError if the board holds
+        another value.
+        """
         text = f"{math.floor(value * 1e5) / 1e5:.5f}"
         kept = number(self._link.ask(f"{self._m}{command}{text}", f"{self._m}{command}"))
         if kept is None or abs(kept - float(text)) > 1e-4 * value:
@@ -247,14 +257,16 @@ class CommanderServo:
         return True if value == 0.0 else None
 
     def _target(self, torque: float) -> str:
-        """Return the target of `torque` N m as it is sent."""
+        """Return the text of the target for `torque`, N m."""
         self._count += 1
         current = self._config.sign * torque / self._config.torque_constant
         ceiling = self._ceiling - RESOLUTION  # so that the digit that identifies the request stays below the limit too
         return target(max(-ceiling, min(ceiling, current)), self._count)
 
     def _read(self, commands: list[str], sent: str | None) -> tuple[CommanderState, str]:
-        """Return the state with the target `sent` (None: any), and from the next line whether the motor is enabled."""
+        """Send `commands`. Return the state whose target is `sent` (None: any target) and the next line, which says
+        whether the motor is enabled.
+        """
         head, enabled = f"{self._m}MG", f"{self._m}E"
         reading: CommanderState | None = None
         resent = False
@@ -275,7 +287,9 @@ class CommanderServo:
         return self._link.exchange(commands, both, "the state")
 
     def _check_enabled(self, enabled: str) -> None:
-        """Raise DeviceFault if an armed motor is off; switch off a motor that is on while disarmed."""
+        """Raise DeviceFault if the motor is disabled although armed. Switch the motor off if it is enabled although
+        disarmed.
+        """
         if not self._gate.armed:
             if enabled == "1":
                 self._gate.force_off()
@@ -288,7 +302,9 @@ class CommanderServo:
             )
 
     def _raise_restarted(self) -> None:
-        """Raise DeviceFault if the board prints in the format of a start, BadReply if the reply is neither."""
+        """Raise DeviceFault if the board prints in the format that it has after a start, else BadReply if the reply is
+        not decodable.
+        """
         try:
             reply = self._link.ask("@", "@")
         except BadReply as error:
