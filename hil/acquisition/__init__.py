@@ -1,1 +1,1 @@
-"""Drive an excitation against the locked joint and record what comes back."""
+"""Drive an excitation against the locked joint and record the drive's readings."""

@@ -1,7 +1,8 @@
-"""The result of `hil doctor --commission`, kept for each drive, and the torque that a run may use because of it.
+"""The stored result of `hil doctor --commission` for each drive, and the torque limit of a run that follows from it.
 
 A drive that was not tested within 30 days, or was tested with another firmware or watchdog, gets half of its stand's
-torque limit. A drive that did not release its torque in the test is refused, unless the stand file accepts it.
+torque limit. A drive that did not release its torque in the test is refused, unless the stand file accepts such a
+drive.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from hil.errors import WrongUse
 from hil.stand.file import Stand
 
 DAYS = 30.0
-"""The number of days for which a result is valid."""
+"""The number of days for which a commissioning result is valid."""
 SHARE = 0.5
 """The fraction of the torque limit that a drive without commissioning may use."""
 NOTHING_TURNS = frozenset({"sim", "replay"})
@@ -30,11 +31,12 @@ _DAY = 86400.0
 
 @dataclass(frozen=True, slots=True)
 class Commissioning:
-    """How a drive stopped in the test.
+    """The result of commissioning a drive: what switched its torque off in the test.
 
-    time: s since 1970. firmware, watchdog (s): those tested. releases: whether the drive switched its torque off by
-    itself when commands stopped. guardian, second_signal: whether these switched it off; guardian is None if there was
-    none.
+    time: of the test, s since 1970. firmware: version of the tested drive. watchdog: time without commands, s, after
+    which the tested drive stops. releases: whether the drive switched its torque off by itself when commands stopped.
+    guardian, second_signal: whether the guardian, and a second stop signal, switched the torque off; guardian is None
+    if the drive has no guardian.
     """
 
     time: float
@@ -51,11 +53,13 @@ class Commissioning:
 
     @property
     def stops_ours(self) -> bool:
-        """Return whether everything except the drive's own watchdog stopped it."""
+        """Return whether the guardian (if the drive has one) and a second stop signal switched the torque off."""
         return self.second_signal and self.guardian is not False
 
     def keep(self, info: ServoInfo, mode: Quantity) -> Path:
-        """Store the result for the drive `info` in `mode`; return the file. Raises WrongUse."""
+        """Store this result for the drive `info` and the command mode `mode`; return the path of the file. Raises
+        WrongUse.
+        """
         memory = _memory(info, mode)
         memory.keep(asdict(self))
         return memory.path
@@ -67,7 +71,7 @@ def _memory(info: ServoInfo, mode: Quantity) -> DriveMemory:
 
 
 def identity(info: ServoInfo) -> str:
-    """Return the words under which a drive's result is stored."""
+    """Return the text by which the stored results of the drive `info` are found."""
     if info.serial and not info.serial_is_id:
         return f"{info.backend} {info.model}, serial number {info.serial}"
     words = [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}" if info.firmware else ""]
@@ -76,7 +80,9 @@ def identity(info: ServoInfo) -> str:
 
 
 def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
-    """Return the result that is valid for the drive today; None if there is none or its file is unusable."""
+    """Return the drive's stored result if it is valid today. Return None if there is no result, or its file is
+    unusable.
+    """
     with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
         kept = _memory(info, mode).load() or {}
         found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
@@ -89,10 +95,10 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
 
 
 def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, list[Diagnostic]]:
-    """Return the stand with the torque limit for a run of `profile`, and a warning if that is half of the stand's.
+    """Return the stand with the torque limit that a run of `profile` may use, and a warning if this limit is halved.
 
-    Raises WrongUse if the drive did not release its torque and the stand file does not accept that, and for a profile
-    beyond the limit.
+    Raises WrongUse if the drive did not release its torque in the test and the stand file does not accept that, or if
+    `profile` exceeds the limit.
     """
     if info.backend in NOTHING_TURNS or stand.stand.backend in NOTHING_TURNS:
         return stand, []
@@ -123,5 +129,7 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
 
 
 def with_torque_limit(stand: Stand, torque: float) -> Stand:
-    """Return the stand with another torque limit, N m at the joint. Raises WrongUse if it sets no limits."""
+    """Return the stand with the torque limit `torque`, N m at the joint. Raises WrongUse if the stand sets no
+    limits.
+    """
     return replace(stand, limits=stand.checked_limits().model_copy(update={"torque": torque}))

@@ -18,9 +18,11 @@ _LARGEST = 4096  # bytes of a file
 
 
 class DriveMemory:
-    """A file of `kind` for the drive `info`; also: words that distinguish it from other files of this drive.
+    """A file that keeps facts of one kind about one drive between runs.
 
-    path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse for a user without a folder for it.
+    kind: what the file is about; the name of its folder. info: the drive. also: more words that distinguish this file
+    from other files of the same drive. path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse if the user has no
+    folder for such files.
     """
 
     def __init__(self, kind: str, info: ServoInfo, *also: str) -> None:
@@ -28,7 +30,9 @@ class DriveMemory:
         self.path = _state_folder() / "hil" / kind / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', words)}.json"
 
     def load(self) -> dict[str, Any] | None:
-        """Return what was stored, None if nothing was. Raises WrongUse, ValueError if it cannot be read."""
+        """Return the stored fields, None if nothing was stored. Raises WrongUse or ValueError if the file cannot be
+        read.
+        """
         try:
             self.path.stat()
         except (FileNotFoundError, NotADirectoryError):
@@ -41,7 +45,7 @@ class DriveMemory:
         return kept
 
     def keep(self, fields: Mapping[str, Any]) -> None:
-        """Store `fields` in place of what was stored. Raises WrongUse."""
+        """Store `fields`; they replace everything stored before. Raises WrongUse."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path, force=True) as fresh:
@@ -55,8 +59,8 @@ class DriveMemory:
 
 
 def _state_folder() -> Path:
-    """Return the user's state folder. It must not depend on the working directory, or a hot motor would be
-    forgotten.
+    """Return the user's state folder. It does not depend on the working directory: otherwise a run from another
+    directory would not know that the motor is hot.
     """
     asked = Path(os.environ.get("XDG_STATE_HOME", ""))
     try:

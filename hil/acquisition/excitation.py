@@ -1,7 +1,8 @@
 """Excitations: set-points at the joint as a function of time.
 
 A profile is a pure function of time, so a run of any length is computed block by block. Amplitudes are at the joint: N
-m in the coupling for torque, rad of deflection for position. A new kind is one sampler and one line in EXCITATIONS.
+m in the coupling for torque, rad of deflection for position. To add a kind of excitation, write one sampler and add one
+entry to EXCITATIONS.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 Shape = Callable[[Array], Array]
 """A function that returns set-points of amplitude one at times (n,), s."""
 Sampler = Callable[[tuple[float, float], float, int], Shape]
-"""A function that makes the shape from the band (Hz), the duration (s) and the seed."""
+"""A function that makes a shape from the band (Hz), the duration (s) and the seed of random numbers."""
 
 _EDGE = 0.02  # s; a torque step through a cable is eased over this long, so that the cable does not whip
 _SHORTEST_FADE = 0.1  # s
@@ -40,12 +41,12 @@ _BAND = (0.1, 15.0)  # Hz, unless another is given
 class Excitation:
     """One kind of excitation.
 
-    explanation: a line for --list-profiles. band: the default, Hz. sampler: None follows the CSV of --setpoints.
-    smooth: whether its derivatives exist, so that its band determines how finely it must be sampled. speeds: at how
-    many speeds it drives the joint: at one, at as many as its band is wide, or at many for any band. one_frequency:
-    whether both ends of its band must be equal. from_zero: whether its spectrum begins at zero for any band. searched:
-    whether `hil design` may propose it; the search varies the upper end of its band and, unless from_zero, the lower
-    end.
+    explanation: the text in --list-profiles. band: default band, Hz. sampler: makes the shape; None for the kind that
+    follows the CSV of --setpoints. smooth: whether the shape has derivatives, so that the band determines how finely
+    the shape must be sampled. speeds: at how many speeds the excitation drives the joint: "one", "band" (the wider the
+    band, the more) or "many". one_frequency: whether both ends of the band must be equal. from_zero: whether the
+    spectrum begins at zero for every band. searched: whether `hil design` may propose this kind; the search varies the
+    upper end of the band and, unless from_zero, the lower end.
     """
 
     explanation: str
@@ -60,11 +61,12 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Set-points over time.
+    """The set-points of a run as a function of time.
 
     kind: a key of EXCITATIONS. mode: torque or position. amplitude: largest magnitude, N m or rad at the joint.
-    duration: s. band: Hz. fade: s of raised-cosine start and stop. seed: of its random part (the phase of a PRBS).
-    setpoints: the CSV that it follows, "" without one.
+    duration: s. band: Hz. fade: duration of the raised-cosine start and of the stop, s. seed: for the random part (the
+    phase of a PRBS). setpoints: path of the CSV with the set-points, "" for a profile without a CSV. shape: the
+    set-points for amplitude one, without fades.
     """
 
     kind: str
@@ -79,7 +81,7 @@ class Profile:
 
     @property
     def excitation(self) -> Excitation:
-        """Return the record of its kind."""
+        """Return the entry of EXCITATIONS for the kind of this profile."""
         return EXCITATIONS[self.kind]
 
     def at(self, time: Array) -> Array:
@@ -120,8 +122,9 @@ def make(
 ) -> Profile:
     """Return a checked profile.
 
-    amplitude N m or rad at the joint (None: `default_amplitude`, or the file's own peak); duration s (None: 20 s, or as
-    long as the file); band Hz; rate Hz, for the Nyquist check; fade s. Raises WrongUse.
+    amplitude: N m or rad at the joint; None: `default_amplitude`, or the peak of the set-point file. duration: s; None:
+    20 s, or as long as the set-point file. band: Hz. rate: sampling rate, Hz, for the Nyquist check. fade: s. seed: for
+    the random part. setpoints: path of a CSV with set-points. Raises WrongUse.
     """
     if kind not in EXCITATIONS:
         raise unknown("profile", kind, EXCITATIONS, " (see: hil record --list-profiles)")
@@ -184,7 +187,7 @@ def _sine(band: tuple[float, float], duration: float, seed: int) -> Shape:
 
 
 def _multisine(band: tuple[float, float], duration: float, seed: int) -> Shape:
-    """Equal amplitudes, phases after Schroeder (1970), scaled to a peak of one."""
+    """Return a multisine: sines of equal amplitude with phases after Schroeder (1970), scaled to a peak of one."""
     del seed
     period = min(duration, _LINES_PERIOD)
     lines = np.arange(max(1, math.ceil(band[0] * period)), math.floor(band[1] * period) + 1)
@@ -229,7 +232,9 @@ def _ramp(band: tuple[float, float], duration: float, seed: int) -> Shape:
 
 
 def _prbs(band: tuple[float, float], duration: float, seed: int) -> Shape:
-    """A maximum-length sequence from x^15 + x^14 + 1, one bit each 1/(2.5 f_high), flat within 1 dB to f_high."""
+    """Return a PRBS: the maximum-length sequence of x^15 + x^14 + 1. One bit lasts 1/(2.5 f_high), so that the spectrum
+    is flat within 1 dB up to f_high.
+    """
     from scipy.signal import max_len_seq
 
     del duration
@@ -249,7 +254,9 @@ def _prbs(band: tuple[float, float], duration: float, seed: int) -> Shape:
 
 
 def _from_file(path: Path) -> tuple[Shape, float, float]:
-    """Return the shape in a CSV of two columns, its peak (N m or rad) and its end (s)."""
+    """Return the shape in a CSV of two columns, the largest magnitude of its set-points (N m or rad) and its last time
+    (s).
+    """
     text = read_text(path, largest=_LARGEST)
     try:
         rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
@@ -297,4 +304,4 @@ EXCITATIONS: Mapping[str, Excitation] = MappingProxyType(
         "file": Excitation("a CSV of time (s) and set-point, interpolated: --setpoints FILE", (0.0, 0.0), None),
     }
 )
-"""Every kind of excitation, by the name for --profile."""
+"""All kinds of excitation, by the name that --profile takes."""

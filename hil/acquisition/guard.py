@@ -26,16 +26,17 @@ _LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the r
 
 
 def longest_silence() -> float:
-    """Return the time without a set-point, s, after which the guardian acts: just before a late tick would end the
-    run.
+    """Return the time without a set-point, s, after which the guardian acts. It is slightly shorter than the lateness
+    of a tick that ends a run.
     """
     return 0.9 * _LATE_OFF
 
 
 class Guard:
-    """The check of every sample of a run against the limits.
+    """Checks every sample of a run against the limits.
 
-    moves: the change of torque at the joint, N m, that is impossible unless the motor turns. more: limits of this run.
+    limits: of the stand. moves: the smallest change of torque at the joint, N m, that is impossible unless the motor
+    turns. more: further limits of this run.
     """
 
     def __init__(self, limits: LimitsTable, moves: float, more: Sequence[Limit] = ()) -> None:
@@ -58,7 +59,7 @@ class Guard:
         self._lost_in_row = 0
 
     def check_start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """Take the readings at rest. Raises LimitReached if the run must not begin."""
+        """Give each limit the readings at rest. Raises LimitReached if the run must not begin."""
         for limit in self.limits:
             limit.start(samples, at_joint)
 
@@ -82,11 +83,12 @@ class Guard:
             )
 
     def check_late(self, late: float, waited: float) -> str:
-        """Return the reason to ramp down for a tick that is `late` s behind its time, "" without one.
+        """Return the reason to ramp the torque down for a tick that is `late` s behind its time, "" if there is no
+        reason.
 
-        late: the time since the previous tick less one period. waited: the part of it, s, in which the drive answered
-        the previous tick; this is silence of the link, which has a limit of its own, and not lateness of this computer.
-        Raises LimitReached if it is so late that the torque must be switched off at once.
+        late: the time since the previous tick, less one period, s. waited: the part of `late`, s, in which the drive
+        answered the previous tick. `waited` is caused by the link, whose silence has a limit of its own, and not by
+        this computer. Raises LimitReached if the tick is so late that the torque must be switched off at once.
         """
         if late <= _LATE_RAMP or late <= min(_SILENCE, _LATE_RAMP + waited):
             return ""
@@ -100,7 +102,7 @@ class Guard:
         return message
 
     def check_silence(self, now: float) -> None:
-        """Count a lost reply at `now` s. Raises NoReply if the link has been silent for too long."""
+        """Count a reply that was lost at time `now`, s. Raises NoReply if the link has been silent for too long."""
         self._lost_in_row += 1
         silent = now - self._last_reply
         if self._lost_in_row >= _REPEATS and not silent < _SILENCE:

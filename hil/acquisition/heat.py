@@ -1,8 +1,8 @@
-"""The heat limit of a run: the winding's temperature is predicted before the run, and estimated while it lasts.
+"""The heat limit of a run: the winding's temperature is predicted before the run and estimated during the run.
 
-The estimate needs no temperature sensor, so it ends a run in time even if that sensor is stale. It is kept between
-processes in a file for each drive, and cooled down by the time that has passed: since the last start of the computer by
-a clock that nobody sets, before that by the time of day.
+The estimate needs no temperature sensor, so it ends a run in time even if the sensor's reading is stale. The estimate
+is stored in a file for each drive. The next run starts from the stored temperature, less the cooling since then. The
+cooling time is measured by a clock that nobody can set, or by the time of day if the computer was restarted meanwhile.
 """
 
 from __future__ import annotations
@@ -30,8 +30,9 @@ _HOTTEST = 1000.0  # degC that a state file may state
 
 
 class TooHot(LimitReached):
-    """A run is refused before anything moves. rest: time, s, after which it may begin; infinite if even a cold motor
-    would get too hot.
+    """The run was refused before anything moved, because the winding would become too hot.
+
+    rest: waiting time, s, after which the run may begin; infinite if even a cold motor would get too hot.
     """
 
     def __init__(self, message: str, rest: float) -> None:
@@ -40,16 +41,18 @@ class TooHot(LimitReached):
 
 
 class HeatMemory:
-    """The winding's temperature between two runs of the drive `info`.
+    """The file that keeps the winding's temperature of the drive `info` between two runs.
 
-    Raises WrongUse if its file cannot be read or written.
+    Raises WrongUse if the file cannot be read or written.
     """
 
     def __init__(self, info: ServoInfo) -> None:
         self._memory = DriveMemory("heat", info)
 
     def load(self, model: WindingModel, now: float) -> Temperatures:
-        """Return the temperatures at `now`, s since 1970: those after the last run, cooled down since."""
+        """Return the temperatures at `now`, s since 1970: those at the end of the last run, after the cooling since
+        then.
+        """
         try:
             kept = self._memory.load()
             if kept is None:
@@ -68,18 +71,19 @@ class HeatMemory:
         return model.after(state, 0.0, max(0.0, rested))
 
     def keep(self, state: Temperatures, at: float) -> None:
-        """Store the temperatures at `at`, s since 1970. Raises WrongUse."""
+        """Store the temperatures `state` for the time `at`, s since 1970. Raises WrongUse."""
         boot, awake = since_boot()
         times = {"time": at, "boot": boot, "since_boot": awake + at - time.time()}
         self._memory.keep(times | {"winding_degC": state.winding, "case_degC": state.case})
 
 
 class WindingHeat:
-    """The limit on the winding's estimated temperature. limit: degC. gear: motor turns for one joint turn.
+    """The limit on the winding's estimated temperature.
 
-    planned: mean squares of the torques to come at the motor shaft, (N m)^2, each for `_STEP * _BLOCK` s. longest: the
-    torque, N m, that is assumed if none is measured. amplitude: of the profile, N m at the joint. memory: None for a
-    simulated motor, which is cold.
+    model: thermal model of the motor. limit: highest allowed temperature, degC. gear: motor turns for one joint turn.
+    planned: mean square torques of the coming run at the motor shaft, (N m)^2, one for each block of `_STEP * _BLOCK`
+    s. longest: the torque, N m, that is assumed if no torque is measured. amplitude: of the profile, N m at the joint.
+    memory: the file with the temperatures of the last run; None for a simulated motor, which starts cold.
     """
 
     name = "winding"
@@ -102,7 +106,7 @@ class WindingHeat:
         self.state = model.cold
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`. A reported temperature counts where it is above the estimate."""
+        """Begin the estimate at the stored temperature, or at the reported one if that is higher. Raises TooHot."""
         del at_joint
         if self._memory is not None:
             self.state = self._memory.load(self._model, time.time())
@@ -115,7 +119,7 @@ class WindingHeat:
             self._memory.keep(max(self.state, end), time.time() + len(self._planned) * _STEP * _BLOCK)
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Update the estimate with one reply of the drive. Raises LimitReached if the winding is too hot."""
         passed, self._t = sample.t - self._t, sample.t
         torque = sample.motor_torque if math.isfinite(sample.motor_torque) else at_joint.torque / self._gear
         torque = torque if math.isfinite(torque) else self._longest
@@ -128,22 +132,22 @@ class WindingHeat:
             )
 
     def keep(self) -> None:
-        """Store the temperatures for the next run; nothing if this one never began. Raises WrongUse."""
+        """Store the temperatures for the next run. If the run never began, store nothing. Raises WrongUse."""
         if self._memory is not None and math.isfinite(self._t):
             self._memory.keep(self.state, time.time())
 
     def _predicted(self) -> Temperatures:
-        """Return the temperatures at the end of the run. Raises TooHot if they would be too high."""
+        """Return the predicted temperatures at the end of the run. Raises TooHot if they would exceed the limit."""
         end, after = self._driven(self.state)
         if after is not None:
             self._refuse(after)
         return end
 
     def _driven(self, state: Temperatures, share: float = 1.0) -> tuple[Temperatures, float | None]:
-        """Return the temperatures at the end of a run that begins at `state`, and when they would be too high, s, or
-        None.
+        """Return the temperatures at the end of a run that begins at `state`, and the time, s, at which they exceed the
+        limit (None: never).
 
-        share: the factor on the torque.
+        share: factor on the planned torques.
         """
         for block, square in enumerate(self._planned):
             state = self._model.after(state, share * share * square, _STEP * _BLOCK)
@@ -152,7 +156,9 @@ class WindingHeat:
         return state, None
 
     def _rest(self) -> float:
-        """Return how long the motor must rest before the run, s; infinite if the run is too much for a cold motor."""
+        """Return the time that the motor must rest before the run, s; infinite if the run would overheat even a cold
+        motor.
+        """
         if self._driven(self._model.cold)[1] is not None:
             return math.inf
         short, enough = 0.0, 1.0
@@ -182,7 +188,7 @@ class WindingHeat:
         return [*shorter, f"add --amplitude {_rounded_down(amplitude)}" if amplitude > 0.0 else "wait longer"]
 
     def _share_that_fits(self) -> float:
-        """Return the factor on the torque, below 1, with which the whole run is allowed."""
+        """Return the factor on the torques, below 1, with which the whole run stays below the temperature limit."""
         low, high = 0.0, 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
@@ -200,7 +206,7 @@ def _rounded_down(value: float) -> str:
 def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat | None:
     """Return the heat limit for a run of `profile`, None if the stand has no [winding].
 
-    The torque of a profile of positions cannot be predicted; its heat is only estimated while it runs.
+    The torque of a profile of positions cannot be predicted: its heat is estimated during the run only.
     """
     if stand.winding is None:
         return None

@@ -1,4 +1,4 @@
-"""A request to stop a run: Ctrl-C, a closed terminal or a kill, turned into a flag."""
+"""A request to stop a run: Ctrl-C, a closed terminal or a kill only sets a flag, which the run reads."""
 
 from __future__ import annotations
 
@@ -13,16 +13,19 @@ _NOT_OURS = ("SIGKILL", "SIGSTOP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL")  # c
 
 
 def ending() -> list[int]:
-    """Return every signal that ends or stops a process by default and can be handled, real-time signals included."""
+    """Return all signals, real-time signals included, that end or stop a process by default and that the process can
+    handle.
+    """
     others = {getattr(signal, name, None) for name in (*_HARMLESS, *_NOT_OURS)}
     return sorted(int(number) for number in signal.valid_signals() if number not in others)
 
 
 class StopRequest:
-    """The signals received during a run; none of them can skip the torque-off. number: the first one, 0 before any.
+    """Counts the signals received during a run; no signal can prevent the torque-off.
 
-    exit_follows: whether the process ends after a stopped run. Later signals are then ignored: one that arrives during
-    the interpreter's shutdown would change the exit status.
+    count: number of signals received. number: the number of the first signal, 0 before any signal. exit_follows:
+    whether the process ends after a stopped run. Later signals are then ignored, because a signal during the
+    interpreter's shutdown would change the exit status.
     """
 
     exit_follows: ClassVar[bool] = False
@@ -40,8 +43,8 @@ class StopRequest:
     def listening(self, *, goes_on: bool = False) -> Iterator[StopRequest]:
         """Handle the signals that end a process, until the recording is on disk.
 
-        Signals that are ignored stay ignored: under nohup a closed terminal ends nothing. goes_on: whether another run
-        may follow a stopped one, so that later signals count.
+        A signal that is ignored stays ignored: under nohup, closing the terminal ends no run. goes_on: whether another
+        run may follow a stopped run, so that later signals are handled as well.
         """
         before = {number: signal.getsignal(number) for number in ending()}
         before = {number: handler for number, handler in before.items() if handler not in {signal.SIG_IGN, None}}

@@ -1,8 +1,9 @@
-"""The limits of a run: each has a name, gives its reason, and says how long it must be exceeded.
+"""The limits of a run: each has a name, gives the reason for which it ends a run, and defines how long it must be
+exceeded.
 
-All are at the joint in SI and come from the stand's limits. A single reading far beyond a limit ends a run. A reading
-slightly beyond it must repeat within a few readings, so that one wrong count does not end a recording. Values that are
-not finite are handled before any comparison, since no comparison finds NaN above a limit.
+All limits are at the joint in SI and come from the stand file. A single reading far beyond a limit ends a run. A
+reading slightly beyond a limit must occur again within a few readings, so that one wrong count does not end a
+recording. Values that are not finite are handled before any comparison, since NaN is never above a limit.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class LimitReached(Exception):
 
 
 class AtJoint(NamedTuple):
-    """One reply converted to the joint: N m, rad, rad/s; NaN if there is no such reading."""
+    """The readings of one reply, converted to the joint: torque, N m; deflection, rad; velocity, rad/s; NaN if not
+    read.
+    """
 
     torque: float = math.nan
     dtheta: float = math.nan
@@ -37,22 +40,22 @@ class AtJoint(NamedTuple):
 
 
 class Limit(Protocol):
-    """One limit. name: of the quantity, for messages."""
+    """The interface of one limit of a run. name: the limited quantity, for messages."""
 
     name: str
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """Take the readings at rest. Raises LimitReached if the run must not begin."""
+        """Take the readings at rest, before the run. Raises LimitReached if the run must not begin."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """Check one reply. Raises LimitReached, and BadReply if a sensor is no longer reliable."""
+        """Check one reply of the drive. Raises LimitReached, and BadReply if a sensor is no longer reliable."""
 
 
 class Persistence:
-    """Whether a condition held in at least `_TIMES` of the last `_OF` readings.
+    """Tests whether a condition held in at least `_TIMES` of the last `_OF` readings.
 
-    seen: in how many of them it held. While it is 0, a reading in which the condition does not hold changes nothing and
-    may be skipped.
+    seen: the last readings as bits, 1 where the condition held. While `seen` is 0, a reading in which the condition
+    does not hold changes nothing, so the call may be skipped.
     """
 
     __slots__ = ("seen",)
@@ -61,13 +64,19 @@ class Persistence:
         self.seen = 0
 
     def __call__(self, now: bool) -> bool:
-        """Take a reading; return whether the condition holds for the `_TIMES`-th time."""
+        """Add a reading, in which the condition holds if `now`. Return whether it held in `_TIMES` of the last `_OF`
+        readings.
+        """
         self.seen = (self.seen << 1 | now) & ((1 << _OF) - 1)
         return now and self.seen.bit_count() >= _TIMES
 
 
 class Presence:
-    """A reading that existed at rest must continue to come: without it the run would have no such limit."""
+    """Checks that a quantity which was read at rest is still read during the run: without the reading its limit is
+    blind.
+
+    name: the quantity, for messages. expected: whether the quantity was read at rest.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -76,11 +85,13 @@ class Presence:
 
     @property
     def settled(self) -> bool:
-        """Return whether no reading was missing recently."""
+        """Return whether none of the last `_OF` readings is missing."""
         return not self._missing.seen
 
     def check(self, value: float) -> bool:
-        """Return whether there is a reading. Raises BadReply if it is missing for the third time."""
+        """Return whether `value` is a reading, not NaN. Raises BadReply if the reading was missing `_TIMES` times
+        recently.
+        """
         present = math.isfinite(value)
         if (self._missing.seen or not present) and self._missing(not present) and self.expected:
             raise BadReply(f"the {self._name} was missing from {_TIMES} replies: check its sensor and cable")
@@ -88,7 +99,10 @@ class Presence:
 
 
 class Level:
-    """The magnitude of one field of `AtJoint`: torque, deflection or velocity."""
+    """The limit on the magnitude of torque, deflection or velocity at the joint.
+
+    field: index of the quantity in `AtJoint`. unit: of the quantity. limit: largest allowed magnitude.
+    """
 
     def __init__(self, name: str, field: int, unit: str, limit: float) -> None:
         self.name = name
@@ -101,12 +115,14 @@ class Level:
         self._slightly = _SLIGHTLY * limit
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Note whether the quantity is read at rest: from then on it must be read."""
         del samples
         self._present.expected = any(math.isfinite(one[self._field]) for one in at_joint)
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check one reply. Raises LimitReached if the quantity exceeds its limit, BadReply if it is missing
+        repeatedly.
+        """
         value = at_joint[self._field]
         if self._settled and -self._slightly < value < self._slightly:  # false for a NaN
             self._last = sample.t
@@ -133,12 +149,11 @@ class Level:
 
 
 class Temperature:
-    """The check of the winding's temperature, degC, which must stay below its limit and change while the motor is
-    loaded.
+    """Check that the winding's temperature, degC, stays below its limit and changes while the motor is loaded.
 
-    The temperature may be constant in thermal equilibrium. On the way there, a reading in steps slows down: its last
-    step takes at least ln 2 of the time constant, which is minutes for the case of a motor. A reading that changed
-    faster and then stays constant is frozen.
+    A constant reading is possible in thermal equilibrium. Before equilibrium, a reading with a coarse step changes more
+    and more slowly: its last step takes at least ln 2 of the time constant, which is minutes for the case of a motor. A
+    reading that changed faster than this and then stays constant is frozen.
     """
 
     name = "temperature"
@@ -152,7 +167,7 @@ class Temperature:
         self._changed, self._balanced = math.nan, False
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Note whether a temperature is read at rest. Raises LimitReached if the winding is too warm to begin."""
         del at_joint
         temperatures = [sample.temperature for sample in samples if math.isfinite(sample.temperature)]
         self._present.expected = bool(temperatures)
@@ -163,7 +178,7 @@ class Temperature:
             )
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check the temperature in one reply. Raises LimitReached if too high, BadReply if missing or frozen."""
         value = sample.temperature
         if value == self._same and -self._loaded <= at_joint.torque <= self._loaded and self._present.settled:
             self._last = sample.t  # it was below its limit, and need not change while the motor is idle
@@ -188,7 +203,7 @@ class Temperature:
 
 
 class Supply:
-    """The check that the drive's supply voltage stays close to its value at rest."""
+    """Check that the drive's supply voltage stays close to the voltage at rest."""
 
     name = "voltage"
 
@@ -197,12 +212,12 @@ class Supply:
         self._away = Persistence()
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Take the supply voltage at rest, with which later voltages are compared."""
         del at_joint
         self._at_rest = next((one.voltage for one in reversed(samples) if math.isfinite(one.voltage)), math.nan)
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check the supply voltage in one reply."""
         del at_joint
         away = abs(sample.voltage - self._at_rest) > _SUPPLY * self._at_rest  # false where one is NaN
         if (away or self._away.seen) and self._away(away):
@@ -213,7 +228,7 @@ class Supply:
 
 
 class Lock:
-    """The check that the locked joint does not turn, if its angle is measured. limit: the largest allowed deflection,
+    """Check that the locked joint does not turn, if the joint's angle is measured. limit: largest allowed deflection,
     rad.
     """
 
@@ -225,13 +240,13 @@ class Lock:
         self._turned = Persistence()
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Take the joint's angle at rest."""
         del at_joint
         angles = [one.joint_position for one in samples if math.isfinite(one.joint_position)]
         self._at_rest = angles[-1] if angles else math.nan
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check the joint's angle in one reply."""
         del at_joint
         turned = abs(sample.joint_position - self._at_rest)
         moved = turned > self._most  # false where one is NaN

@@ -1,4 +1,4 @@
-"""The phases of a run as one state machine: which may follow which, when each began, and how the run ended."""
+"""The phases of a run as one state machine: the allowed order, the start of each phase, and how the run ended."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 
 class Phase(StrEnum):
-    """A phase of a run. Torque may be on from ARMING on, and is off again in OFF."""
+    """A phase of a run. Torque may be on from ARMING on, and is off in OFF."""
 
     REST = "at rest"
     ARMING = "arming"
@@ -31,18 +31,18 @@ FOLLOWS: Mapping[Phase, frozenset[Phase]] = MappingProxyType(
         Phase.CLOSED: frozenset(),
     }
 )
-"""The phases that may follow each phase. CLOSED without OFF before it: the torque-off was not confirmed."""
+"""The phases that may follow each phase. A run that enters CLOSED without OFF before it had no confirmed torque-off."""
 
 
 class Phases:
-    """The present phase of a run. history: each phase with the time at which it began, s on the servo's clock."""
+    """The phases that a run has passed through. history: each phase with its start time, s on the servo's clock."""
 
     def __init__(self) -> None:
         self.now = Phase.REST
         self.history: list[tuple[float, Phase]] = []
 
     def enter(self, phase: Phase, t: float) -> None:
-        """Begin `phase` at `t` s. Raises ValueError if it cannot follow the present one."""
+        """Begin `phase` at time `t`, s. Raises ValueError if `phase` may not follow the present phase."""
         if phase not in FOLLOWS[self.now]:
             raise ValueError(f"a run cannot go from {self.now} to {phase}")
         self.now = phase
@@ -53,10 +53,12 @@ class Phases:
 class Outcome:
     """How a run ended.
 
-    late: ticks that began more than half a period late. missed: those of them that were skipped because the next one
-    was already due. error: the fault that ended the run, None if it ran to its end or was stopped on request. signal:
-    of that request. alarm: a sentence to show first if the torque may still be on, otherwise "". moved: a sentence that
-    says where the recording is, if its file was removed during the run or could not be made final. phases: of the run.
+    samples, lost, saturated: numbers of rows, of lost replies, and of rows with saturated torque. late: number of ticks
+    that began more than half a period late. missed: number of late ticks that were skipped because the next tick had to
+    begin. end_reason: why the run ended, for the recording. error: the fault that ended the run; None if the run was
+    complete or was stopped on request. signal: number of the signal that requested the stop. alarm: a sentence to show
+    first if the torque may still be on, otherwise "". moved: a sentence that says where the recording is, if its file
+    was removed during the run or could not be made final. phases: the phases of the run.
     """
 
     samples: int = 0

@@ -1,4 +1,4 @@
-"""Planned faults of the recording computer: it is killed, or its disk is full or does not respond."""
+"""Planned faults of the recording computer: the recorder is killed, or the disk is full or does not respond."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sim_backend.fault_plan import PlannedFault
 
 
 class FaultyHost:
-    """The faults of `FaultyServo` that are not the servo's; `sink` is what the recorder writes to."""
+    """Carries out the planned faults of the recording computer; `FaultyServo` carries out those of the servo."""
 
     def __init__(self) -> None:
         self._full = False
         self._writer: RecordingWriter | BackgroundWriter | None = None
 
     def sink(self, writer: RecordingWriter | BackgroundWriter) -> Sink:
-        """Return `writer`, on a disk that a fault fills up."""
+        """Return a sink that writes to `writer` until a planned fault fills the disk."""
         self._writer = writer
         return _Disk(self, writer)
 

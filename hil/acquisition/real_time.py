@@ -1,4 +1,4 @@
-"""Run the control loop on time: in the real-time class, with locked memory, if the system permits it."""
+"""Run the control loop on time: in the real-time scheduling class, with locked memory, if the system permits it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ PERMISSION = (
     "write the two lines `@hil - rtprio 60` and `@hil - memlock unlimited` into /etc/security/limits.d/hil.conf, join "
     "the group with `sudo groupadd -f hil && sudo usermod -aG hil $USER`, then log out and in"
 )
-"""How to give a user the permission for the real-time class and locked memory."""
+"""The instruction how to give a user the permission for the real-time class and locked memory."""
 
 
 @contextmanager
 def real_time(clock: Clock) -> Iterator[None]:
-    """Run the block that drives a motor with all real-time permissions that the system gives; nothing for a virtual
-    clock.
+    """Run the enclosed block, which drives a motor, in the real-time class and with locked memory as far as permitted.
 
-    Child processes inherit neither the real-time class nor the locked memory.
+    With a virtual clock nothing is changed. Child processes inherit neither the real-time class nor the locked memory.
     """
     with uncollected():  # a full collection can stop the loop for 100 ms
         if not isinstance(clock, MonotonicClock):
@@ -63,7 +62,9 @@ def _urgent() -> Iterator[None]:
 
 
 def missing_permissions() -> list[str]:
-    """Return what the system does not permit to this user: "the real-time class", "locked memory". Changes nothing."""
+    """Return what the system does not permit to this user: "the real-time class", "locked memory" or both. Changes
+    nothing.
+    """
     missing = []
     if not _tried(_be_urgent, lambda: _schedule(os.SCHED_OTHER, 0)):
         missing.append("the real-time class")
@@ -80,7 +81,7 @@ def _tried(begin: Callable[[], bool], end: Callable[[], object]) -> bool:
 
 
 def _be_urgent() -> bool:
-    """Enter the real-time class, which children do not inherit; return whether that is permitted."""
+    """Enter the real-time class, which child processes do not inherit; return whether the system permitted that."""
     return _schedule(getattr(os, "SCHED_FIFO", 0), _PRIORITY)
 
 
@@ -95,9 +96,9 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def _lock_memory() -> bool:
-    """Keep all memory in use from being swapped out; return whether that is permitted without a size limit.
+    """Lock all memory in use, so that none is swapped out; return whether the system permits that without a size limit.
 
-    With a limit, a later allocation beyond it would fail.
+    With a size limit, a later allocation beyond the limit would fail.
     """
     if sys.platform != "linux":
         return False
@@ -112,7 +113,7 @@ def _prctl(option: int, value: int = 0) -> int:
 
 
 def _call(name: str, *values: object) -> int:
-    """Return the result of a function of the C library, -1 if the system has no such function."""
+    """Call the C library's function `name`; return its result, -1 if the system has no such function."""
     if sys.platform != "linux":
         return -1
     return int(getattr(ctypes.CDLL(None), name)(*values))

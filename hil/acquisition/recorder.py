@@ -45,7 +45,7 @@ _Readings = Callable[[Sample], AtJoint]
 
 
 class _Stopped(Exception):
-    """A request to stop came before anything was driven."""
+    """The run was stopped on request before the motor was driven."""
 
 
 def tick_count(profile: Profile, rate: float) -> int:
@@ -54,10 +54,11 @@ def tick_count(profile: Profile, rate: float) -> int:
 
 
 class Recorder:
-    """One run of a profile on an open servo, at `rate` Hz, into a sink.
+    """Records one run of `profile` on the open `servo`, at `rate` Hz, into `sink`.
 
-    scratch: the folder for the run's set-points, which a long run keeps on disk; None for the system's. Raises WrongUse
-    for a stand without limits, and for a drive that does not stop by itself unless the stand file accepts it.
+    scratch: the folder for the set-points of a long run, which are kept on disk; None: the system's temporary folder.
+    Raises WrongUse for a stand without limits, and for a drive whose torque stays on when this computer stops, unless
+    the stand file accepts that.
     """
 
     def __init__(
@@ -136,10 +137,10 @@ class Recorder:
             yield np.arange(first, min(first + _BLOCK, count)) / self._rate
 
     def _find_zero(self, stop: StopRequest) -> Zero:
-        """Read the axis at rest, without driving it.
+        """Return the motor's and the joint's angle at rest, read without driving the motor.
 
-        Raises NoReply if it does not answer, BadReply if a necessary reading is missing, WrongUse if a tick is too
-        short for one exchange, LimitReached if it is too warm.
+        Raises NoReply if the drive does not answer, BadReply if a necessary reading is missing, WrongUse if the drive
+        answers too slowly for the rate, LimitReached if the winding is too warm.
         """
         samples = self._at_rest(stop)
         motor = _mean(sample.motor_position for sample in samples)
@@ -212,7 +213,11 @@ class Recorder:
             answered = now_of()
 
     def _steered(self, stop: StopRequest, due: float, too_late: str) -> float:
-        """Enter the phase that is due at `due` s of the run; return the remaining factor on the set-point."""
+        """Enter the phase that begins at `due` s of the run; return the factor on the set-point: 1, less during a
+        ramp-down.
+
+        too_late: the reason to ramp down because a tick was late, "" without one.
+        """
         stopping = math.isfinite(self._stopping_at)
         if (stop.count or too_late) and not stopping:
             self._ramp_down(stop, due, too_late)
@@ -233,7 +238,9 @@ class Recorder:
             self._outcome.end_reason = f"LimitReached: {too_late}"
 
     def _miss(self, seq: int, due: float, held: float) -> None:
-        """Write the row of a skipped tick; the drive keeps the set-point `held`."""
+        """Write the row of the tick number `seq`, which was skipped at `due` s; the drive keeps the set-point
+        `held`.
+        """
         sample = Sample.missing(self._start + due, _MISSED)
         self._outcome.missed += 1
         self._outcome.late += 1
@@ -259,7 +266,7 @@ class Recorder:
         self._check(sample, readings)
 
     def _readings(self, zero: Zero) -> _Readings:
-        """Return the conversion of a sample to the joint."""
+        """Return the function that converts a sample to torque, deflection and velocity at the joint."""
         way, from_cell, has_joint = self._transmission, self._torque_source == "joint", self._has_joint
 
         def at_joint(sample: Sample) -> AtJoint:
@@ -310,7 +317,9 @@ class Recorder:
         self._outcome.phases.enter(phase, self._servo.clock.now())
 
     def _note_end(self) -> None:
-        """Add the fault that ended the run to its events. A failure here must not lose the data."""
+        """Add the fault that ended the run to the recording's events. A failure to do so must not lose the recorded
+        rows.
+        """
         outcome = self._outcome
         outcome.error = outcome.error or self._off_error
         if outcome.alarm:

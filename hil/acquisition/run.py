@@ -1,4 +1,4 @@
-"""One run, from a free file name to a finished file: stand, servo, recorder and file together."""
+"""One complete run: open the stand's servo, choose a free file name, record, and finish the file."""
 
 from __future__ import annotations
 
@@ -66,13 +66,15 @@ def run(
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
-    Return the path of the recording and the outcome of the run. The servo is closed and its torque off in any case.
-    force: replace a recording of that name, finished or not. guardian: whether another process switches the torque off
-    if this one is killed, frozen or late. rerun: "window" or a file .rrd, in which Rerun shows the run, "" for neither.
-    seed: of the simulator. alarm: called with a sentence if the torque may still be on, after every row is with the
-    operating system and before the file is made final. faults: planned faults of a simulated stand. warn: called with
-    the warnings about the opened drive, before anything moves. Raises WrongUse before anything moves, DriverError if
-    the servo cannot be opened.
+    Return the path of the recording and the outcome of the run. On every path the torque is switched off and the servo
+    is closed.
+
+    seed: of the simulator. realtime: whether a simulated stand runs in wall time. note, command_line: texts stored in
+    the recording. force: replace an existing recording of that name, finished or not. guardian: whether a second
+    process switches the torque off if this one is killed, frozen or late. rerun: "window" or a file .rrd, in which
+    Rerun shows the run; "" for neither. alarm: called with a sentence if the torque may still be on, before the file is
+    made final. faults: planned faults of a simulated stand. warn: called with the warnings about the opened drive,
+    before anything moves. Raises WrongUse before anything moves, DriverError if the servo cannot be opened.
     """
     host = FaultyHost()
     _check(stand, output, rerun, force=force)
@@ -115,7 +117,7 @@ def _opened(
     realtime: bool,
     guardian: bool,
 ) -> tuple[Servo, Mapping[str, float]]:
-    """Return the open servo with its planned faults, and the true parameters of a simulated one. Raises as
+    """Return the open servo with its planned faults, and the true parameters if it is simulated. Raises as
     `open_servo`.
     """
     plan, host = faulty
@@ -126,14 +128,14 @@ def _opened(
 
 
 def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[Diagnostic]], object]) -> Stand:
-    """Return the stand with the torque that its drive may use. Raises as `permitted`."""
+    """Return the stand with the torque limit that its drive may use. Raises as `permitted`."""
     stand, warnings = permitted(stand, servo.info, profile)
     warn(warnings)
     return stand
 
 
 def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> None:
-    """Raise WrongUse for an unknown backend and for outputs that cannot be written."""
+    """Raise WrongUse for an unknown backend, and for an output file that cannot be written."""
     check_backend(stand.stand.backend)
     if rerun:
         check_rerun(rerun, force=force)
@@ -172,7 +174,9 @@ def _begin(output: Path | None, header: Header, length: int, batch: int, *, forc
 
 
 def _behind(writer: RecordingWriter, servo: Servo, rate: float) -> Writer:
-    """Let another process write the rows if the clock is real, so that the loop does not wait for the disk."""
+    """Return a writer that writes the rows in another process if the clock is real, so that the loop never waits for
+    the disk.
+    """
     if not (_HAS_SHARED_MEMORY and isinstance(servo.clock, MonotonicClock)):
         return writer
     try:
@@ -197,14 +201,16 @@ def _close_servo(servo: Servo, outcome: Outcome) -> None:
 
 
 def _is_readable(part: Path) -> bool:
-    """Return whether there is a `.part` that can be recovered; it may have been truncated meanwhile."""
+    """Return whether the unfinished file `part` exists and its rows can be recovered."""
     with suppress(WrongUse, Untrustworthy, OSError), Recording(part):
         return True
     return False
 
 
 def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
-    """Make the recording final and return its path. A failure is stored in the outcome: the `.part` keeps the rows."""
+    """Make the recording final and return its path. If that fails, store the failure in the outcome: the `.part` keeps
+    all rows.
+    """
     try:
         with writer:
             if len(writer):

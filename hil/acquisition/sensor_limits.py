@@ -1,6 +1,7 @@
-"""Whether encoder and torque cell are credible during a run: stuck, jumping, noisy, or at the end of their range.
+"""Limits that end a run if the encoder or the torque cell is not credible: stuck, jumping, noisy, or at the end of its
+range.
 
-Limits like those of `hil.acquisition.limits`, all at the joint in SI.
+They have the interface `hil.acquisition.limits.Limit`; all values are at the joint in SI.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ _NOISE_OVER, _NOISE_SIZE, _ROUGH = 100, 0.02, 1.45  # replies; of the deflection
 
 
 class StuckEncoder:
-    """The check that the motor's angle changes while the torque does.
+    """Check that the motor's angle changes while the torque changes.
 
-    moves: the change of torque, N m, that is impossible unless the motor turns.
+    moves: the smallest change of torque, N m, that is impossible unless the motor turns.
     """
 
     name = "encoder"
@@ -34,10 +35,10 @@ class StuckEncoder:
         self._low = self._high = math.nan
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Do nothing: this check needs no readings at rest."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check one reply. Raises BadReply if the angle is stuck."""
         torque = at_joint.torque
         if sample.motor_position != self._angle:
             self._angle, self._same = sample.motor_position, 0
@@ -54,12 +55,12 @@ class StuckEncoder:
 
 
 class ImplausibleEncoder:
-    """The check that the deflection neither jumps nor is noisy, as that of a broken encoder is.
+    """Check that the deflection neither jumps nor is noisy, as the reading of a broken encoder is.
 
-    limit: the largest allowed deflection, rad. velocity: the largest allowed rate, rad/s. The deflection jumps if it
-    changes between two readings by more than three times what its reported rate allows, plus a tenth of `limit`. It is
-    noisy if its second differences are not smaller than its first ones, as they are in any motion that is sampled often
-    enough.
+    limit: largest allowed deflection, rad. velocity: largest allowed velocity, rad/s. A deflection jumps if it changes
+    between two readings by more than a tenth of `limit` plus three times the change that its reported velocity allows.
+    A deflection is noisy if its second differences are not smaller than its first differences. In a motion that is
+    sampled fast enough, the second differences are smaller.
     """
 
     name = "encoder"
@@ -71,10 +72,10 @@ class ImplausibleEncoder:
         self._angles: list[float] = []
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Do nothing: this check needs no readings at rest."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check the deflection in one reply. Raises BadReply if the deflection jumps or is noisy."""
         angle, rate, t = at_joint.dtheta, abs(at_joint.dtheta_dot), sample.t
         if not math.isfinite(angle):
             return
@@ -109,9 +110,7 @@ class ImplausibleEncoder:
 
 
 class StuckCell:
-    """The check that the torque reading, N m, changes while the deflection does. limit: the largest allowed torque, N
-    m.
-    """
+    """Check that the torque reading, N m, changes while the deflection changes. limit: largest allowed torque, N m."""
 
     name = "torque"
 
@@ -122,10 +121,10 @@ class StuckCell:
         self._from, self._to = math.nan, math.nan
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
-        """See `Limit`."""
+        """Do nothing: this check needs no readings at rest."""
 
     def check(self, sample: Sample, at_joint: AtJoint) -> None:
-        """See `Limit`."""
+        """Check the torque in one reply. Raises BadReply if the torque reading is stuck."""
         torque, angle = at_joint.torque, at_joint.dtheta
         if not (math.isfinite(torque) and math.isfinite(angle)):
             return

@@ -1,4 +1,4 @@
-"""The set-points of a run, computed before the motor is live, in memory; those of a day-long run are on disk."""
+"""The set-points of a run, computed before the motor is armed: in memory, or on disk for a run of many hours."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _IN_MEMORY = 1 << 26  # bytes: two hours at 1 kHz, in which the loop does not de
 
 
 class SetPoints:
-    """Set-points in order, N m or rad at the joint; deleted when closed.
+    """A list of set-points, N m or rad at the joint, that is deleted when it is closed.
 
-    folder: of the unnamed file for set-points that do not fit in memory. Raises WrongUse if it has no room for them.
+    folder: where set-points that do not fit in memory are stored, in a file without a name. Raises WrongUse if the
+    folder has no room for them.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -36,7 +37,7 @@ class SetPoints:
         self._file.close()
 
     def extend(self, values: Array) -> None:
-        """Add `values` (n,). Raises WrongUse if one is not a number, or the disk is full."""
+        """Append the set-points `values` (n,). Raises WrongUse if a value is not finite, or the disk is full."""
         if not np.isfinite(values).all():
             raise WrongUse("the profile has a set-point that is not a number: nothing was driven")
         data = values.astype(np.float64).tobytes()

@@ -11,10 +11,12 @@ from hil.recording.channels import ROW, Row, Rows
 
 
 class Sink(Protocol):
-    """The receiver of a run's rows and events. `append` is called in the control loop: it must not wait."""
+    """The interface of a receiver of a run's rows and events. `append` is called in the control loop: it must not
+    wait.
+    """
 
     def append(self, row: Row) -> None:
-        """Add one row. Raises Untrustworthy if it cannot be kept."""
+        """Add one row. Raises Untrustworthy if the row cannot be stored."""
 
     def event(self, time: float, code: str, message: str) -> None:
         """Add an event at `time` s: a short code and a sentence. Raises as `append` does."""
