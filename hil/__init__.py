@@ -59,7 +59,7 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name from its module, loaded at this moment: `import hil` alone costs next to nothing."""
+    """Return a public name from its module. The module is loaded at this moment, so that `import hil` alone is fast."""
     for module, names in _PLACES.items():
         if name in names:
             return getattr(import_module(module), name)
@@ -67,5 +67,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, for completion."""
+    """Return the public names, for completion in an interactive shell."""
     return __all__

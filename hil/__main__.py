@@ -1,4 +1,4 @@
-"""`python -m hil`."""
+"""The entry point of `python -m hil`."""
 
 from hil.cli.app import main
 

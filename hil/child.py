@@ -14,10 +14,11 @@ _START = (
 
 
 def command(module: str, *words: str) -> list[str]:
-    """Return the command that runs `module` with `words` as its arguments.
+    """Return the command line that runs `module` with `words` as its arguments.
 
-    `python -m` would search the working directory first, and so run any `h5py.py` that lies there. The new process
-    searches this one's absolute folders, in their order and without the working directory, unless hil itself is there.
+    `python -m` searches the working directory first, and would run any `h5py.py` in that directory. The new process
+    searches the absolute folders of this process's search path, in the same order. The working directory is not
+    searched, unless hil itself is there.
     """
     return [sys.executable, "-I", "-c", _START, os.pathsep.join(_search_path()), module, *words]
 

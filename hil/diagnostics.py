@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """A warning, or an error: then the result must not be trusted.
+    """A warning or an error about a recording, a run or a result. After an error the result must not be trusted.
 
     code: a fixed name for scripts. message: what is wrong, what it means for Kc or Bc, and what to do. parameter: the
-    one that is affected, None where all are.
+    affected parameter, None if all parameters are affected.
     """
 
     code: str
@@ -24,14 +24,15 @@ class Diagnostic:
         return "error" if self.is_error else "warning"
 
     def as_json(self) -> dict[str, str | None]:
-        """Return the entry for the lists "warnings" and "errors" of every command's JSON."""
+        """Return this diagnostic as an entry for the lists "warnings" and "errors" in every command's JSON."""
         return {"code": self.code, "parameter": self.parameter, "message": self.message}
 
 
 def again(words: str, options: str, *, imported: bool) -> str:
-    """Return how to record again: in words, and with the options of `hil record` that do it.
+    """Return the advice to record again: `words`, then the `options` of `hil record` for that.
 
-    imported: whether a table of another program was imported. Its user has no such options, so that they are left out.
+    imported: whether the recording was imported from another program's table. Then the options are left out, because
+    the user did not record with `hil record`.
     """
     return words if imported else f"{words} ({options})"
 
@@ -39,8 +40,8 @@ def again(words: str, options: str, *, imported: bool) -> str:
 def driven_by_position(*, is_error: bool, imported: bool = False) -> Diagnostic:
     """Return the diagnostic for motor torque that was read while the drive held positions.
 
-    The Bc of the simulated joint comes out near zero then. is_error: for a result; a run to come is only warned of.
-    imported: as `again`.
+    In such a recording the Bc of the simulated joint is estimated near zero. is_error: True for a result, False for a
+    warning before a run. imported: whether the recording was imported from another program's table.
     """
     chirp = again("Drive a chirp of torque", "--mode torque --profile chirp", imported=imported)
     return Diagnostic(

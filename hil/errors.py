@@ -1,4 +1,6 @@
-"""The two errors with which a command refuses; drives have their own (`drivers.servo.DriverError`)."""
+"""The two errors with which a command ends without a result; drives have their own errors
+(`drivers.servo.DriverError`).
+"""
 
 from __future__ import annotations
 
@@ -15,27 +17,31 @@ class WrongUse(Exception):
 
 
 class Untrustworthy(Exception):
-    """The data is there and was read, but no result drawn from it could be trusted (exit status 1)."""
+    """The data was read, but no result from this data could be trusted (exit status 1)."""
 
 
 def unknown(what: str, name: str, known: Iterable[str], more: str = "") -> WrongUse:
-    """Return the error for a name that is none of those known: it proposes the nearest and lists all.
+    """Return the error for an unknown name: the message proposes the most similar known name and lists all known names.
 
-    more: the end of the sentence.
+    what: the kind of thing that is named. more: the end of the sentence.
     """
     names = list(known)
     return WrongUse(f"unknown {what} {name!r}: {meant(name, names)}known are {', '.join(names)}{more}")
 
 
 def meant(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean 'X'? " for the nearest of the names known, in any case; "" if none is near."""
+    """Return "did you mean 'X'? " with the most similar known name, upper or lower case; "" if no known name is
+    similar.
+    """
     names = {one.casefold(): one for one in known}
     near = get_close_matches(name.casefold(), names, n=1)
     return f"did you mean {names[near[0]]!r}? " if near else ""
 
 
 def proposing(message: str) -> str:
-    """Return another program's message that lists the allowed values, with the nearest of them appended."""
+    """Return `message`, another program's text that lists the allowed values, with the most similar allowed value
+    appended.
+    """
     found = _LISTED.search(message)
     if found is None:
         return message

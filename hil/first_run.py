@@ -1,4 +1,4 @@
-"""The first run: a second process compiles the search while this one prepares the recording."""
+"""The first run: a second process compiles the search of hil identify while this process prepares the recording."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ga.trials.ahead import is_worthwhile
 from hil.child import command
 
 _processes: Final[list[subprocess.Popen[bytes]]] = []
-"""The process that compiles, while it does."""
+"""The running process that compiles, as a list of one element; an empty list if no process compiles."""
 
 
 @contextmanager
 def compiled_ahead() -> Iterator[None]:
-    """Start a process that compiles the search, if it is not compiled yet and there is a second core; it ends with this
-    one.
+    """While the block runs, compile the search in a second process, which is ended with the block.
 
-    Inside another `compiled_ahead`, whose process already compiles, nothing is done.
+    No process is started if the search is compiled already, or if the computer has one core. Inside another
+    `compiled_ahead`, whose process compiles already, nothing is done.
     """
     process = None
     if not _processes and (os.cpu_count() or 1) > 1 and is_worthwhile():

@@ -1,4 +1,4 @@
-"""Drives and models of other packages: their entry points, each loaded at its first use."""
+"""Drives and models that other packages add by entry points, each loaded at its first use."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from typing import Any
 from hil.errors import WrongUse
 
 BACKENDS, MODELS = "hil.backends", "hil.models"
-"""The groups of entry points."""
+"""The names of the two groups of entry points: for servos and for models."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One entry point, not loaded yet."""
+    """The entry point of a drive or model in another package, not loaded yet."""
 
     point: EntryPoint
 
     @property
     def package(self) -> str:
-        """The package that it comes from, with its version."""
+        """The name and the version of the package that defines this entry point."""
         return "an unnamed package" if self.point.dist is None else f"{self.point.dist.name} {self.point.dist.version}"
 
     def load(self, *kinds: type) -> Any:
-        """Return what it names, of one of these kinds. Raises WrongUse if it cannot be loaded."""
+        """Load and return the object of this entry point. Raises WrongUse if it cannot be loaded, or is of none of
+        `kinds`.
+        """
         try:
             found = self.point.load()
         except (Exception, SystemExit) as error:
@@ -42,7 +44,9 @@ class Plugin:
 
 @cache
 def plugins(group: str) -> dict[str, Plugin]:
-    """Return the entry points of a group by name; of two with one name, the first on the search path."""
+    """Return the entry points of a group by name. If two have the same name, the first on the search path is
+    returned.
+    """
     found: dict[str, Plugin] = {}
     for point in entry_points(group=group):
         found.setdefault(point.name, Plugin(point))

@@ -1,7 +1,7 @@
 """Values with a unit in a file that a person writes: `watchdog = "100 ms"`, `torque_constant = "14.5 mN*m/A"`.
 
-A key that is a physical quantity has its SI unit as `annotated_types.Unit` in the class of its table: the drives' and
-the simulator's parameters too, which know nothing of units otherwise.
+Each table of such a file has a Python class. A field that is a physical quantity is annotated there with its SI unit,
+`annotated_types.Unit`, also in the classes of the drives and the simulator, which do not use units otherwise.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from hil.errors import WrongUse
 from hil.units import dimension_of, quantity
 
 Place = tuple[str | int, ...]
-"""The keys that lead to a value, the table's first."""
+"""The keys that lead to a value, from the outermost table inwards."""
 
 
 def in_si(table: Mapping[str, Any], kind: type) -> tuple[dict[str, Any], dict[Place, str]]:
-    """Return a table of a class with its texts such as "10 ms" as numbers in SI, and what is wrong with others.
+    """Return `table` with texts such as "10 ms" converted to numbers in SI, and a sentence for each text that has no
+    valid unit.
 
-    kind: a dataclass or a pydantic model. A value that is wrong in another way is left as it is.
+    kind: class of the table, a dataclass or a pydantic model. A value with another kind of error is returned unchanged.
     """
     found: dict[str, Any] = dict(table)
     wrong: dict[Place, str] = {}
@@ -55,19 +56,21 @@ def _value(value: Any, hint: Any) -> tuple[Any, dict[Place, str]]:
 
 
 def _values(values: list[Any], hint: Any) -> tuple[list[Any], dict[Place, str]]:
-    """The values of a list, each read as the hint says."""
+    """Return the elements of a list converted to SI as the type `hint` says, and a sentence for each wrong element."""
     read = [_value(value, hint) for value in values]
     wrong = {(at, *place): text for at, (_, mine) in enumerate(read) for place, text in mine.items()}
     return [value for value, _ in read], wrong
 
 
 def unit_of(hint: Any) -> str | None:
-    """Return the SI unit that a type names, None if it is no physical quantity."""
+    """Return the SI unit in a type hint, None if the hint is not that of a physical quantity."""
     return next((part.unit for part in _parts(hint) if isinstance(part, Unit)), None)
 
 
 def physical(kind: type) -> Iterator[tuple[type, str, str]]:
-    """Yield each physical quantity of a table and of those in it: the table's class, the key, and its SI unit."""
+    """Yield every physical quantity of a table and of the tables inside it: the table's class, the key and the SI
+    unit.
+    """
     for key, hint in _hints(kind):
         if (unit := unit_of(hint)) is not None:
             yield kind, key, unit
@@ -77,7 +80,9 @@ def physical(kind: type) -> Iterator[tuple[type, str, str]]:
 
 
 def keys_of(kind: type, place: Sequence[str]) -> list[str]:
-    """Return the keys of the table at a place in a table of a class; none where there is no such table."""
+    """Return the keys of the table at `place` inside a table of class `kind`; an empty list if there is no such
+    table.
+    """
     for name in place:
         hint = dict(_hints(kind)).get(name)
         inner = next((part for part in _parts(hint) if _is_table(part)), None)
@@ -94,7 +99,7 @@ def _hints(kind: type) -> list[tuple[str, Any]]:
 
 
 def _parts(hint: Any) -> Iterator[Any]:
-    """Yield a type, the types that it is made of, and their marks."""
+    """Yield a type hint, the types of which it consists, and their annotations."""
     yield hint
     for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
         yield from _parts(part)

@@ -1,8 +1,9 @@
-"""Units as people write them, to SI: "mNm", "N·m", "oz-in", "deg/s", "rad s^-1"; and numbers with a unit, "10 deg".
+"""Conversion of units as people write them to SI: "mNm", "N·m", "oz-in", "deg/s", "rad s^-1"; and of numbers with a
+unit, "10 deg".
 
-The registry of `pint` has angle, energy and voltage as dimensions of their own: a torque is no energy, and a percentage
-no angle. A
-frequency counts turns in a second, so that rad/s and Hz are converted into each other correctly.
+The registry of `pint` has angle, energy and voltage as dimensions of their own: so a torque is not mistaken for an
+energy, nor a percentage for an angle. A frequency is in turns per second, so that rad/s and Hz are converted into each
+other correctly.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ SI: Mapping[str, str] = MappingProxyType(
         "temperature": "degC",
     }
 )
-"""The known dimensions, and the SI unit of each."""
+"""The dimensions of a recording's channels, and the SI unit of each."""
 
 LEVER: Mapping[str, str] = MappingProxyType({"mass": "kg", "length": "m"})
-"""The dimensions of a load on a lever, which no channel of a recording has."""
+"""The dimensions, with SI units, of a load on a lever: a calibration needs them, no channel of a recording has them."""
 
 DRIVES: Mapping[str, str] = MappingProxyType(
     {
@@ -52,7 +53,7 @@ DRIVES: Mapping[str, str] = MappingProxyType(
         "torque drift": "N*m/s",
     }
 )
-"""The dimensions that only a drive or its simulation has."""
+"""The dimensions, with SI units, that only parameters of a drive or of its simulation have."""
 
 COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -79,10 +80,10 @@ COMMON: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "torque drift": ("N*m/s", "mN*m/s"),
     }
 )
-"""The units that messages propose, by dimension."""
+"""The units that a message proposes for each dimension."""
 
 NO_UNIT = "1"
-"""The unit of a pure number in files and JSON."""
+"""The text in files and JSON for the unit of a pure number."""
 
 _ALL: Mapping[str, str] = MappingProxyType({**SI, **LEVER, **DRIVES})
 
@@ -142,13 +143,13 @@ _SHORT = 4  # letters: what is longer is a word, such as "milliseconds", which s
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Return a number with its unit as people read it: "3 N m/rad"; a pure number, of unit "1" or "", has none."""
+    """Return a number with its unit as people read it: "3 N m/rad". A pure number (unit "1" or "") is printed alone."""
     read = printed(unit)
     return f"{number} {read}" if read else number
 
 
 def printed(unit: str) -> str:
-    """Return a unit as people read it: "N m/rad" for "N*m/rad", and "" for that of a pure number."""
+    """Return a unit as people read it: "N m/rad" for "N*m/rad", and "" for the unit of a pure number."""
     return "" if unit == NO_UNIT else unit.replace("*", " ")
 
 
@@ -165,11 +166,12 @@ def factor(dimension: str, unit: str) -> float:
 
 @lru_cache(maxsize=1024)
 def known(dimension: str, unit: str) -> float | None:
-    """Return the factor from `unit` to SI, None if it is no unit of the dimension, or can be two different ones.
+    """Return the factor from `unit` to SI; None if the text is not a unit of the dimension, or can mean two different
+    units.
 
-    Case matters: a capital letter is another prefix. Only a text all in small letters, or all in capitals and without a
-    prefix, is read in any case: "torque_mnm" and "TIME_S" are certain, "MNM" is not. A mass stands for its weight where
-    a force is needed (kg*cm).
+    Case matters, because a capital letter is another prefix. Only a text entirely in small letters, or in capitals and
+    without a prefix, is read without regard to case: "torque_mnm" and "TIME_S" are certain, "MNM" is not. Where a force
+    is needed, a mass means its weight (kg*cm).
     """
     if not unit or len(unit) > _LONGEST:
         return None
@@ -183,14 +185,15 @@ def known(dimension: str, unit: str) -> float | None:
 
 
 def dimension_of(unit: str) -> str:
-    """Return the dimension whose SI unit this is."""
+    """Return the dimension whose SI unit is `unit`."""
     return next(dimension for dimension, si in _ALL.items() if si == unit)
 
 
 def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
-    """Return the number of "10 deg" or "10", in SI, and its dimension, one of `dimensions`; None if it has no unit.
+    """Return the number in a text such as "10 deg" or "10", in SI, and its dimension, which is None if the text has no
+    unit.
 
-    Raises WrongUse for what is neither.
+    dimensions: those allowed. Raises WrongUse for any other text.
     """
     found = _QUANTITY.fullmatch(text)
     if found is None:
@@ -202,7 +205,9 @@ def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
 
 
 def _in_si(text: str, number: float, unit: str, dimensions: tuple[str, ...]) -> tuple[float, str | None]:
-    """Return the number in SI, and the first of these dimensions that has the unit; None if there is no unit."""
+    """Return the number in SI, and the first of `dimensions` that has the unit; the dimension is None if there is no
+    unit.
+    """
     if not unit:
         return number, None
     for dimension in dimensions:
@@ -238,7 +243,9 @@ _NOT_PARSED = (
 
 
 def _factor(dimension: str, expression: str) -> float | None:
-    """Return the factor of an expression that the registry can parse, None if it has another dimension."""
+    """Return the factor from an expression that `pint` can parse to SI, None if the expression has another
+    dimension.
+    """
     import pint
 
     registry = _registry()
@@ -257,7 +264,9 @@ def _factor(dimension: str, expression: str) -> float | None:
 
 
 def _readings(unit: str) -> Iterator[str]:
-    """Yield the expressions that a text can stand for: "mNm/rad" is "mN*m/rad", "rad_s" is "rad*s" or "rad/s"."""
+    """Yield the possible meanings of a text, as expressions: "mN*m/rad" for "mNm/rad", "rad*s" and "rad/s" for
+    "rad_s".
+    """
     text = _plain(unit)
     joined = re.sub(r"(?<=[^\s*._/(-])[\s*._-]+(?=[^\s*._/)-])", "*", text)
     texts = [joined]
@@ -275,7 +284,7 @@ def _readings(unit: str) -> Iterator[str]:
 
 
 def _plain(unit: str) -> str:
-    """Return a unit in ASCII, with / for "per" and ^(-1) for a power."""
+    """Return the text of a unit in ASCII, with / for "per" and ^(-1) for a power."""
     text = unit.strip().translate(_SIGNS)
     text = _OTHER_NAMES.get(text, text)
     text = re.sub(r"(?<![A-Za-z])per(?![A-Za-z])", "/", text)
@@ -284,7 +293,9 @@ def _plain(unit: str) -> str:
 
 
 def _readings_in_other_case(unit: str) -> Iterator[str]:
-    """Yield the readings of a text that is written all in small letters, all in capitals, or "Like This"."""
+    """Yield the possible meanings of a text whose case cannot be trusted: in small letters, in capitals or "Like
+    This".
+    """
     if unit == unit.lower():
         yield from _readings(unit.replace("hz", "Hz"))
         for at in (match.start() for match in re.finditer("n", unit)):  # the newton of "mnm"
@@ -298,7 +309,7 @@ def _readings_in_other_case(unit: str) -> Iterator[str]:
 
 @lru_cache(maxsize=1024)
 def _spellings(word: str) -> tuple[str, ...]:
-    """Return the word where it is a unit, and else its parts, joined with *, if two or three units make it: "ozin"."""
+    """Return the word if it is a unit. Otherwise return its two or three units joined with *: "oz*in" for "ozin"."""
     if _is_unit(word):
         return (word,)
     pairs = [
@@ -316,9 +327,7 @@ def _pairs(word: str) -> list[str]:
 
 @lru_cache(maxsize=4096)
 def _is_unit(word: str) -> bool:
-    """Return whether the registry knows the word. A plural "s" is accepted for written-out names only, not for
-    symbols.
-    """
+    """Return whether `pint` knows the word. A plural "s" is accepted for names such as "meters", not for symbols."""
     found = _registry().parse_unit_name(word)
     return any(
         not plural or len(word) > _SHORT or word in {"degs", "rads", "revs", "secs", "mins"} for *_, plural in found

@@ -1,4 +1,4 @@
-"""From recordings to Kc and Bc, and comparisons of recordings: the functions, and the results that they return."""
+"""The functions that identify Kc and Bc from recordings and compare recordings, and the classes of their results."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ if TYPE_CHECKING:
 
 AnyPath = str | os.PathLike[str]
 Progress = Callable[[str, float], None]
-"""A function that is called with the phase of the work and the fraction done, 0 to 1."""
+"""A callback: it gets the name of the phase of the work and the completed fraction, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
-    """Kc, Bc and the other parameters of the model; `str()` is the answer in one line, `result["Kc"]` one parameter.
+    """The result of `identify`: Kc, Bc and the other parameters of the model.
 
-    identification: all numbers and signals that the result consists of.
+    `str(result)` is the answer in one line, `result["Kc"]` is one parameter. identification: all numbers and signals of
+    the result.
     """
 
     identification: Identification
@@ -64,31 +65,33 @@ class IdentificationResult:
 
     @property
     def model(self) -> str:
-        """The model, its terms joined with +."""
+        """The name of the model: its terms joined with +."""
         return self.identification.model.name
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """The warnings and errors, each with its remedy."""
+        """The warnings and errors about the result, each with a remedy."""
         return self.identification.diagnostics
 
     @property
     def trustworthy(self) -> bool:
-        """Return whether there is no error among the diagnostics."""
+        """Return whether the diagnostics contain no error."""
         return self.identification.trustworthy
 
     def trusted(self, name: str) -> bool:
-        """Return whether a parameter, "Kc" or "Bc", may be trusted: it is identifiable, and no error concerns it."""
+        """Return whether a parameter, "Kc" or "Bc", may be trusted: the data identifies it, and no error is about
+        it.
+        """
         return self.identification.trusted(name)
 
     @property
     def interrupted(self) -> bool:
-        """Return whether Ctrl-C ended the search; the result is then that of the search so far."""
+        """Return whether Ctrl-C ended the search early; then the result is the best that the search had reached."""
         return self.identification.trials.interrupted
 
     @property
     def dynamic_stiffness(self) -> DynamicStiffness | None:
-        """Stiffness and damping over frequency, without a model; None where the recording is too short."""
+        """Stiffness and damping over frequency, estimated without a model; None if the recording is too short."""
         return self.identification.dynamic_stiffness
 
     def as_json(self) -> dict[str, Any]:
@@ -96,13 +99,15 @@ class IdentificationResult:
         return identification_json.as_json(self.identification)
 
     def plot(self) -> Figure:
-        """Return a picture: the torque with its model, the residuals, the loop and the diagnostic checks."""
+        """Return a figure: measured and modelled torque, residuals, the torque-deflection loop and the diagnostic
+        checks.
+        """
         return result.figure(self.identification)
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
-        """Write the report, HTML, and return its path. Raises WrongUse.
+        """Write the HTML report to `path` and return the path. Raises WrongUse.
 
-        command: the command or the script that made it, for its provenance. force: replace a file that is there.
+        command: the command or script that made the result, printed in the report. force: replace an existing file.
         """
         return identification_page.write_page(self.identification, Path(path), command, force=force)
 
@@ -112,18 +117,21 @@ class IdentificationResult:
 
 
 class NoResult(Untrustworthy):
-    """Recordings from which nothing could be identified; the message says why."""
+    """The error for recordings from which nothing could be identified; the message says why."""
 
     def __init__(self, reason: str, recordings: Sequence[Path], model: str, preset: str, seed: int) -> None:
         super().__init__(reason)
         self.recordings, self.model, self.preset, self.seed = tuple(recordings), model, preset, seed
 
     def as_json(self) -> dict[str, Any]:
-        """Return the JSON object of `hil identify --json`, whose values are null."""
+        """Return the JSON object of `hil identify --json` for a failure: every value is null."""
         return identification_json.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
-        """Write the report, which says why, as `IdentificationResult.report`. Raises WrongUse."""
+        """Write an HTML report that says why there is no result, and return its path. Raises WrongUse.
+
+        command: the command or script that was run. force: replace an existing file.
+        """
         return identification_page.write_failure(
             str(self), self.recordings, self.as_json(), Path(path), command, force=force
         )
@@ -131,9 +139,9 @@ class NoResult(Untrustworthy):
 
 @dataclass(frozen=True, slots=True)
 class ComparisonResult:
-    """Kc and Bc of several recordings, compared; `str()` is the verdict.
+    """The result of `compare`: Kc and Bc of several recordings. `str(result)` is the answer in one line.
 
-    comparison: all numbers that the result consists of.
+    comparison: all numbers of the result.
     """
 
     comparison: Comparison
@@ -146,12 +154,12 @@ class ComparisonResult:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """The warnings and errors, each with its remedy."""
+        """The warnings and errors about the comparison, each with a remedy."""
         return self.comparison.diagnostics
 
     @property
     def trustworthy(self) -> bool:
-        """Return whether there is no error among the diagnostics."""
+        """Return whether the diagnostics contain no error."""
         return self.comparison.trustworthy
 
     def as_json(self) -> dict[str, Any]:
@@ -159,11 +167,16 @@ class ComparisonResult:
         return comparison_report.as_json(self.comparison)
 
     def plot(self) -> Figure:
-        """Return a picture: each parameter over the recordings with its interval, and the pooled interval."""
+        """Return a figure: each parameter over the recordings with its interval, and the interval of all recordings
+        together.
+        """
         return comparison_report.figure(self.comparison)
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
-        """Write the report, HTML, as `IdentificationResult.report`. Raises WrongUse."""
+        """Write the HTML report to `path` and return the path. Raises WrongUse.
+
+        command: the command or script that made the result, printed in the report. force: replace an existing file.
+        """
         return comparison_report.write_page(self.comparison, Path(path), command, force=force)
 
 
@@ -187,18 +200,18 @@ def identify(
     cluster: str | None = None,
     progress: Progress | None = None,
 ) -> IdentificationResult:
-    """Find the stiffness Kc and damping Bc of the coupling in one or more recordings, pooled.
+    """Find the stiffness Kc and damping Bc of the coupling from one recording, or from several recordings together.
 
-    model: "auto" (model selection), terms such as "linear+offset", "FILE.py:NAME", or a model; None: "auto", and
-    "linear" where preset, bounds, checkpoint or fixture belong to one model. preset: "default" or "paper". trials:
-    independent searches. generations to replacement: of the genetic algorithm, None: the preset's (docs/paper.md).
-    bounds: SI, by parameter. workers: threads, None: all cores. checkpoint: a file that keeps the state of the search;
-    where it exists, the search continues. fixture: a recording of the empty rig, whose compliance is removed, or the
-    stand file into which `hil calibrate fixture` wrote it. cluster: the address of a Dask scheduler that has the work
-    done, or "local".
+    model: "auto" (model selection), terms such as "linear+offset", "FILE.py:NAME", or a model object; None: "linear" if
+    preset, bounds, checkpoint or fixture is given, otherwise "auto". preset: "default" or "paper". trials: number of
+    independent searches. generations to replacement: settings of the genetic algorithm; None: the preset's
+    (docs/paper.md). bounds: lowest and highest value by parameter, SI. workers: number of threads; None: one a core.
+    checkpoint: a file that keeps the state of the search; if it exists, the search continues from it. fixture: a
+    recording of the empty rig, whose compliance is removed from the result, or the stand file into which `hil calibrate
+    fixture` wrote that compliance. cluster: the address of a Dask scheduler that distributes the work, or "local".
 
-    Ctrl-C ends the search, and what it found so far is returned. Raises WrongUse, and NoResult where the recordings
-    cannot be used at all; lesser doubts are in the diagnostics.
+    Ctrl-C ends the search; the best result so far is returned. Raises WrongUse, and NoResult if nothing can be
+    identified from the recordings. Smaller problems are in the diagnostics.
     """
     options: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     options |= {"selection": selection, "weights": weights, "replacement": replacement}
@@ -223,11 +236,11 @@ def identify_each(
     cluster: str | None = None,
     progress: Progress | None = None,
 ) -> list[IdentificationResult | NoResult]:
-    """Identify each recording on its own, several at a time, and return the results in their order.
+    """Identify each recording separately, several at a time, and return the results in the order of the recordings.
 
-    workers: processes of this computer, None: one a core; they are started where the work takes longer than about 10 s.
-    The numbers do not depend on them, nor on the cluster. The other arguments: as `identify`. A recording that cannot
-    be used has a NoResult in its place. Raises WrongUse.
+    workers: number of processes on this computer; None: one a core. They are started if the work takes longer than
+    about 10 s. The results depend neither on `workers` nor on `cluster`. The other arguments are those of `identify`.
+    For a recording from which nothing can be identified, the list holds a NoResult. Raises WrongUse.
     """
     search = _search(preset, {}, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=None)
     tasks = _tasks([[path] for path in _paths(recordings)], model, search, fixture)
@@ -290,17 +303,18 @@ def compare(
     cluster: str | None = None,
     progress: Progress | None = None,
 ) -> ComparisonResult:
-    """Identify each recording on its own, and test whether Kc and Bc repeat and whether they drift.
+    """Identify each recording separately, and test whether Kc and Bc repeat and whether they drift.
 
-    The arguments: as `identify_each`. A recording that cannot be used is left out with a warning. Raises WrongUse for
-    fewer than two recordings, for different stands and for the same run twice.
+    The arguments are those of `identify_each`. A recording from which nothing can be identified is left out with a
+    warning. Raises WrongUse for fewer than two recordings, for recordings of different stands, and for the same run
+    twice.
     """
     search = Search(trials=trials, seed=seed, workers=workers or os.cpu_count() or 1)
     return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress, cluster))
 
 
 def coupling_of(model: str | Coupling) -> Coupling | None:
-    """Return the coupling model of that name, None for model selection ("auto"). Raises WrongUse."""
+    """Return the coupling model with the name `model`, None for model selection ("auto"). Raises WrongUse."""
     if not isinstance(model, str):
         return model
     if model == "auto":

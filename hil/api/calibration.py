@@ -1,4 +1,4 @@
-"""Calibrations of a stand, measured and stored in its file: the torque cell, its delay, the fixture and the zero."""
+"""Calibrations of a stand, measured and stored in the stand file: torque cell, its delay, fixture and zero."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NORMAL = 1.96
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """The motor's angle at rest and its standard uncertainty, rad."""
+    """The motor's angle at rest, rad, and its standard uncertainty, rad."""
 
     value: float
     uncertainty: float
@@ -34,10 +34,10 @@ class Zero:
 def read_loads(
     stand: Stand, loads: Iterable[Load], cell: TorqueCell | None, clock: Clock, ready: Callable[[Load], bool]
 ) -> list[Point]:
-    """Return the points of known loads; loads without a value are read from `cell`.
+    """Return torque and cell reading of each known load. A reading that a load lacks is read from `cell`.
 
-    ready: called before a load is read; returns whether the load hangs. Loads that do not are left out. Raises WrongUse
-    for an impossible load, DriverError if the cell is gone.
+    ready: called before a load is read; returns whether the person has hung the load. If not, the load is left out.
+    Raises WrongUse for an impossible load, DriverError if the connection to the cell is lost.
     """
     sign = stand.sensor[1].sign if stand.sensor is not None else 1
     limit = None if stand.limits is None else stand.limits.torque
@@ -59,10 +59,12 @@ def read_loads(
 def store_torque(
     path: Path, points: Sequence[Point], *, tare: float, arm: tuple[float, float] | None
 ) -> tuple[Scale, list[str]]:
-    """Return the scale fitted to the points, stored in the stand file at `path`, and the keys that were set.
+    """Fit the cell's scale to the known loads and store it in the stand file at `path`; return the scale and the
+    changed keys.
 
-    tare: the cell's reading before the loads, in counts or as printed. arm: of the lever and its standard uncertainty,
-    m; None if torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on success.
+    tare: the cell's reading without load, in counts or as printed. arm: length of the lever and its standard
+    uncertainty, m; None if torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on
+    success.
     """
     stand = load(path)
     lever = 0.0 if arm is None else math.hypot(arm[1] / arm[0], GRAVITY_UNCERTAINTY)
@@ -88,9 +90,11 @@ def store_torque(
 
 
 def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
-    """Return the cell's response to a load taken off within ten seconds, stored in the stand file at `path`.
+    """Measure the cell's delay and bandwidth from a load that is taken off within ten seconds, and store them in the
+    stand file.
 
-    Raises Untrustworthy if no clear step is seen, DriverError if the cell is gone.
+    path: of the stand file. Raises Untrustworthy if there is no clear step, DriverError if the connection to the cell
+    is lost.
     """
     rows = released(cell, clock)
     found = step_response(*rows.T)
@@ -111,10 +115,11 @@ def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
 
 
 def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
-    """Return the motor's angle at rest and its uncertainty, stored as `stand.zero` in the file at `path`.
+    """Measure the motor's angle at rest and store it as `stand.zero` in the stand file at `path`; return the angle.
 
-    ready: called with an instruction before each of two readings, approached from both sides, because friction holds a
-    joint where it stops. Raises DriverError, Untrustworthy if the motor moves.
+    The angle is read twice, because friction holds a joint where it stops: the person turns the motor first to one
+    side, then to the other. ready: called with the instruction before each reading. Raises DriverError, and
+    Untrustworthy if the motor moves.
     """
     stand = load(path)
     angles, counts = [], []
@@ -141,10 +146,11 @@ def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
 
 
 def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationResult:
-    """Return Kc and Bc of the empty rig in `recording`, stored in the stand file at `path`.
+    """Identify Kc and Bc of the empty rig from `recording` and store them in the stand file at `path`; return the
+    result.
 
-    search: as `hil.api.analysis.identify`. Raises WrongUse, Untrustworthy if the recording does not give the
-    fixture's stiffness.
+    search: further arguments of `hil.api.analysis.identify`. Raises WrongUse, and Untrustworthy if the recording does
+    not determine the rig's stiffness.
     """
     load(path)
     result = identify([recording], "linear", **search)
@@ -173,7 +179,7 @@ def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationR
 
 
 def _beside(recording: Path, stand: Path) -> str:
-    """Return the recording's name relative to the stand file's folder."""
+    """Return the path of `recording`, relative to the folder of the stand file."""
     recording, folder = recording.resolve(), stand.resolve().parent
     return str(recording.relative_to(folder)) if recording.is_relative_to(folder) else str(recording)
 

@@ -21,11 +21,11 @@ from hil.stand.file import Stand
 
 @dataclass(frozen=True, slots=True)
 class DesignResult:
-    """The predicted errors of two excitations; `str()` is the answer in one line.
+    """The result of `design`: the predicted errors for two excitations. `str(result)` is the answer in one line.
 
-    task: the joint, its sensors and limits. judged: the requested excitation as "given", and the one with the smallest
-    errors as "best". stand: the option that names the stand in a command. general: the warnings that apply to every
-    excitation.
+    task: the joint, its sensors and limits. judged: the assessments of the requested excitation, "given", and of the
+    excitation with the smallest errors, "best". stand: the command-line option that names the stand. general: the
+    warnings that apply to every excitation.
     """
 
     task: Task
@@ -38,17 +38,17 @@ class DesignResult:
 
     @property
     def given(self) -> Assessment:
-        """The requested excitation."""
+        """The assessment of the requested excitation."""
         return self.judged["given"]
 
     @property
     def best(self) -> Assessment:
-        """The excitation with the smallest errors."""
+        """The assessment of the excitation with the smallest errors."""
         return self.judged["best"]
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All warnings, those of each excitation last."""
+        """All warnings: first the general warnings, then those about one excitation."""
         own = (warning for one in self.judged.values() for warning in advice.of_profile(self.task, one))
         return (*self.general, *own)
 
@@ -73,12 +73,14 @@ def design(
     model: str = "auto",
     progress: Progress | None = None,
 ) -> DesignResult:
-    """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones.
+    """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest errors. Nothing
+    moves.
 
-    kc, N m/rad, and bc, N m s/rad: rough values; torque_noise: N m at the joint, one standard deviation; None: the
-    simulator's. model: the terms to estimate, or "auto": all that model selection considers. Other arguments: as
-    `hil.record`. progress: called with what is being tried, and the fraction done. Nothing moves. Raises WrongUse, also
-    if the excitation would exceed a limit of the stand.
+    kc, bc: rough values of the joint, N m/rad and N m s/rad. torque_noise: standard deviation of the torque reading at
+    the joint, N m. For each of these, None means the simulator's value. model: the terms to estimate, or "auto": all
+    terms that model selection considers. progress: called with the name of the present step and the completed fraction.
+    The other arguments are those of `hil.record`. Raises WrongUse, also if the excitation would exceed a limit of the
+    stand.
     """
     opened, quantity = opened_stand(stand), quantity_of(mode)
     made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)
@@ -91,7 +93,7 @@ def design(
 
 
 def _words(stand: AnyStand) -> str:
-    """Return the option that names the stand in a command."""
+    """Return the command-line option that names the stand."""
     if stand == "sim":
         return "--backend sim"
     return f"--stand {'stand.toml' if isinstance(stand, Stand) else shlex.quote(str(stand))}"

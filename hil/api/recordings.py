@@ -25,11 +25,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedRecording:
-    """A recording, finished or not; `len()` is its samples and `recording["torque"]` one channel, (n,) in SI.
+    """A recording in memory. `len(recording)` is the number of samples, `recording["torque"]` is one channel, (n,) in
+    SI.
 
-    channels, units, descriptions: by the names of `hil.recording.channels`; a missing reading is NaN. profile: the
-    excitation. attributes: of the file's root, such as created and stand_toml. events: of the run, in order. truth: the
-    simulator's own parameters, SI, {} for a real stand. complete: whether the run ended as planned.
+    channels, units, descriptions: by the channel names in `hil.recording.channels`; a missing reading is NaN. profile:
+    the excitation. attributes: those of the file, such as created and stand_toml. events: of the run, in order. truth:
+    the simulator's true parameters, SI; {} for a real stand. complete: whether the run ended as planned.
     """
 
     path: Path
@@ -55,7 +56,8 @@ class LoadedRecording:
         return f"<recording {self.path}: {len(self)} samples, {self.profile.get('kind', 'unknown')}>"
 
     def to_pandas(self) -> Any:
-        """Return a pandas.DataFrame over time, s, a column a channel; `attrs["units"]` has the units.
+        """Return a pandas.DataFrame with time, s, as index and one column for each channel; `attrs["units"]` has the
+        units.
 
         Raises WrongUse if pandas is not installed.
         """
@@ -66,7 +68,8 @@ class LoadedRecording:
         return frame
 
     def to_xarray(self) -> Any:
-        """Return an xarray.Dataset over time, s; each variable has its unit and description in `attrs`.
+        """Return an xarray.Dataset with time, s, as coordinate; the `attrs` of each variable have its unit and
+        description.
 
         Raises WrongUse if xarray is not installed.
         """
@@ -79,7 +82,7 @@ class LoadedRecording:
         return _optional("xarray").Dataset(variables, time, attributes)
 
     def plot(self) -> Figure:
-        """Return a picture: command, torque and deflection over time, and torque against deflection."""
+        """Return a figure: command, torque and deflection over time, and torque over deflection."""
         from hil.report.pictures.recording import recording_figure
 
         return recording_figure(self.channels, self.units)

@@ -1,4 +1,4 @@
-"""One run on a stand, real or simulated: the excitation is checked against the stand, driven and recorded."""
+"""One run on a real or simulated stand: check the excitation against the stand's limits, drive it and record."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from sim_backend.fault_plan import FaultPlan
 
 DEFAULT_RATE = 500.0
-"""Hz."""
+"""The sampling rate if none is given, Hz."""
 
 _WITHOUT_HARDWARE = frozenset({"sim", "replay"})
 _UNGUARDED = Diagnostic(
@@ -41,16 +41,16 @@ _UNGUARDED = Diagnostic(
 _FAST_MODE = 1e6  # rad/s; above this a simulated second takes about as long as a real one
 
 AnyStand = str | os.PathLike[str] | Stand
-"""The path of a stand file, a loaded stand, or "sim" for the simulated stand."""
+"""The ways to name a stand: the path of a stand file, a loaded stand, or "sim" for the simulated stand."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A finished run and its recording; it can be used wherever the path of a recording is expected.
+    """A finished run and its recording; a Run can be used wherever the path of a recording is expected.
 
-    outcome: samples, lost replies, late ticks, and why it ended. diagnostics: of the run; those of the recording are
-    given by `hil inspect`. lateness: of the set-points, s: median, 99 % and largest, as stored in the recording; NaN if
-    it has none.
+    path: of the recording. outcome: numbers of samples, lost replies and late ticks, and why the run ended.
+    diagnostics: warnings and errors about the run; those about the recording's quality are shown by `hil inspect`.
+    lateness: how late the set-points were sent, s: median, 99 % and largest; NaN if the recording has no such values.
     """
 
     path: Path
@@ -63,11 +63,11 @@ class Run:
 
     @property
     def trustworthy(self) -> bool:
-        """Return whether there is no error among the diagnostics."""
+        """Return whether the diagnostics contain no error."""
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
     def load(self) -> LoadedRecording:
-        """Return the recording. Raises as `hil.load`."""
+        """Load and return the recording. Raises as `hil.load`."""
         from hil.api.recordings import load
 
         return load(self.path)
@@ -114,16 +114,19 @@ def record(
 ) -> Run:
     """Drive the motor of `stand` through an excitation against the locked joint, and record it.
 
-    amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: Hz. fade: s.
-    setpoints: the CSV of profile "file". seed: of everything random. realtime: simulate in wall time. output: the
-    recording (None: the next free recordings/runN.h5); force: replace it. guardian: whether a process of its own
-    switches the torque of a real drive off where this one is killed, frozen or late; faults: a TOML file of what goes
-    wrong on a simulated stand (docs/reliability.md for both). rerun: "window" or a file .rrd, where Rerun shows the run
-    as it goes. command_line: kept in the recording. warn: is called with the warnings that are known before anything
-    moves. alarm: is called with a sentence at once where the torque may still be on. ended: is called with the run
-    before a fault that ended it is raised. The torque is off on return. Ctrl-C ramps it to zero and keeps the rows:
-    `outcome.signal` is set. Raises WrongUse before anything moves; DriverError where the drive fails;
-    `hil.acquisition.limits.LimitReached` where a safety limit ended the run. The rows up to a fault are kept.
+    amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: sampling rate,
+    Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: the CSV for
+    profile "file". seed: for everything random. realtime: run a simulated stand in wall time. note: a text stored in
+    the recording. output: path of the recording (None: the next free recordings/runN.h5). force: replace an existing
+    file. guardian: whether a second process switches the torque of a real drive off if this process is killed, frozen
+    or late (docs/reliability.md). faults: a TOML file with planned faults of a simulated stand (docs/reliability.md).
+    rerun: "window" or a file .rrd, in which Rerun shows the run while it lasts. command_line: a text stored in the
+    recording. warn: called with the warnings that are known before anything moves. alarm: called at once with a
+    sentence if the torque may still be on. ended: called with the run before the fault that ended it is raised.
+
+    The torque is off on return. Ctrl-C ramps the torque to zero and keeps the rows: then `outcome.signal` is set.
+    Raises WrongUse before anything moves, DriverError if the drive fails, and `hil.acquisition.limits.LimitReached` if
+    a safety limit ended the run. All rows before a fault are kept.
     """
     opened = opened_stand(stand)
     wanted = (quantity_of(mode), (amplitude, band, duration))
@@ -150,7 +153,7 @@ def record(
 
 
 def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], object] | None) -> list[Diagnostic]:
-    """Return the foreseen warnings after calling `warn` with them."""
+    """Call `warn` with the warnings that are known before the run; return these warnings."""
     if foreseen and warn is not None:
         warn(foreseen)
     return foreseen
@@ -159,7 +162,7 @@ def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], o
 def _reported(
     path: Path, outcome: Outcome, foreseen: Sequence[Diagnostic], ended: Callable[[Run], object] | None
 ) -> Run:
-    """Return the run after calling `ended` with it. Raises the fault that ended it."""
+    """Call `ended` with the run, then return the run. Raises the fault that ended the run."""
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
     late = lateness(outcome.late, outcome.samples)
     run = Run(path, outcome, (*foreseen, *moved, *late), _stored_lateness(path, outcome.samples))
@@ -172,7 +175,9 @@ def _reported(
 
 
 def _stored_lateness(path: Path, samples: int) -> tuple[float, float, float]:
-    """Return median, 99 % and largest lateness of a recording, s; NaN if it was not finished."""
+    """Return the lateness of a recording's set-points, s: median, 99 % and largest; NaN if the recording is
+    unfinished.
+    """
     stored: Mapping[str, Any] = {}
     if samples:
         with suppress(WrongUse, Untrustworthy, OSError), Recording(path) as recording:
@@ -207,9 +212,9 @@ def simulate(
 ) -> Run:
     """Record an excitation on the simulated stand, in virtual time.
 
-    sim: tables of [sim] in a stand file (docs/simulator.md), SI or texts with a unit, such as
-    {"coupling": {"stiffness": 0.02}}. The others: as `record`. Raises as `record`, WrongUse with every unknown or
-    impossible key of `sim`.
+    sim: the tables of [sim] in a stand file (docs/simulator.md) with values in SI or texts with a unit, such as
+    {"coupling": {"stiffness": 0.02}}. The other arguments are those of `record`. Raises as `record`, and WrongUse with
+    every unknown or impossible key of `sim`.
     """
     return record(
         parse(SIMULATED + _toml(sim or {}), "sim"),
@@ -228,7 +233,7 @@ def simulate(
 
 
 def _toml(sim: Mapping[str, Mapping[str, float | bool | str]]) -> str:
-    """Return tables of numbers, truth values and texts as TOML, which writes them as JSON does."""
+    """Return tables of numbers, truth values and texts as TOML."""
     return "".join(
         f"\n[sim.{table}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
         for table, values in sim.items()
@@ -236,7 +241,7 @@ def _toml(sim: Mapping[str, Mapping[str, float | bool | str]]) -> str:
 
 
 def opened_stand(stand: AnyStand) -> Stand:
-    """Return the stand of a file, or the simulated one for "sim". Raises WrongUse."""
+    """Return the stand in a stand file, or the simulated stand for "sim". Raises WrongUse."""
     if isinstance(stand, Stand):
         return stand
     return parse(SIMULATED) if stand == "sim" else load_stand(Path(stand))
@@ -251,7 +256,7 @@ def quantity_of(mode: Quantity | str) -> Quantity:
 
 
 Size = tuple[float | None, tuple[float, float] | None, float | None]
-"""Amplitude (N m or rad at the joint), band (Hz) and duration (s) of an excitation; None: its default."""
+"""Amplitude (N m or rad at the joint), band (Hz) and duration (s) of an excitation. None means the default value."""
 
 
 def excitation(
@@ -265,7 +270,12 @@ def excitation(
     fade: float = 1.0,
     seed: int = 0,
 ) -> Profile:
-    """Return the excitation for a stand, by default at a fifth of its limit. rate: Hz; fade: s. Raises WrongUse."""
+    """Return the checked excitation for a stand; its default amplitude is a fifth of the stand's limit. Raises
+    WrongUse.
+
+    size: amplitude, band and duration. rate: sampling rate, Hz. setpoints: path of a CSV with set-points. fade:
+    duration of start and stop, s. seed: for the random part.
+    """
     if not 20.0 <= rate <= 10_000.0:
         raise WrongUse(
             f"--rate {rate:g}: it must lie between 20 and 10000 Hz; a drive that is asked less often assumes that its "
@@ -287,7 +297,9 @@ def excitation(
 
 
 def _limit_of(stand: Stand, mode: Quantity) -> float:
-    """Return the stand's limit on the commanded quantity, N m or rad at the joint. Raises WrongUse if it sets none."""
+    """Return the stand's limit on torque, N m, or deflection, rad, at the joint, whichever `mode` commands. Raises
+    WrongUse if the stand has no limits.
+    """
     limits = stand.checked_limits()
     return limits.torque if mode is Quantity.TORQUE else limits.deflection
 
@@ -303,7 +315,7 @@ def _check_amplitude(stand: Stand, profile: Profile) -> None:
 
 
 def _foreseen(stand: Stand, profile: Profile, *, guardian: bool) -> list[Diagnostic]:
-    """Return the warnings that are known before anything moves."""
+    """Return the warnings about a run that are known before anything moves."""
     found = []
     if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
         found.append(driven_by_position(is_error=False))
@@ -329,7 +341,7 @@ def _foreseen(stand: Stand, profile: Profile, *, guardian: bool) -> list[Diagnos
 
 
 def _raise_fault(outcome: Outcome) -> None:
-    """Raise the fault that ended the run; if the torque may still be on, the message ends with that."""
+    """Raise the fault that ended the run. If the torque may still be on, the end of the message says so."""
     if outcome.alarm:
         raise DriverError(f"{outcome.error}\n{outcome.alarm}") from outcome.error
     if isinstance(outcome.error, OSError) and not isinstance(outcome.error, DriverError):

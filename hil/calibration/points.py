@@ -17,7 +17,10 @@ _LARGEST = 1 << 20  # bytes
 
 
 class Load(NamedTuple):
-    """A known load: its torque, N m; the cell's reading, None if it is still to be read; a name for messages."""
+    """A known load on the torque cell.
+
+    torque: N m. value: the cell's reading; None if the load has not been read yet. name: for messages.
+    """
 
     torque: float
     value: float | None
@@ -25,7 +28,7 @@ class Load(NamedTuple):
 
 
 def weight(text: str, arm: float | None) -> Load:
-    """Return the load of a mass such as "0.2" (kg) or "200g" on an arm, m. Raises WrongUse."""
+    """Return the load of a mass, such as "0.2" (kg) or "200g", on a lever of length `arm`, m. Raises WrongUse."""
     mass, _ = quantity(text, "mass")
     if arm is None:
         raise WrongUse("a mass is a torque only on a lever: give its length with --arm, in m, or with its unit (50mm)")
@@ -33,11 +36,12 @@ def weight(text: str, arm: float | None) -> Load:
 
 
 def read_points(path: Path, arm: float | None) -> list[Load]:
-    """Return the loads in a CSV with the columns `mass` or `torque`, and `value` where the cell was read already.
+    """Return the known loads in a CSV file. Its columns are `mass` or `torque`, and `value` if the cell was read
+    already.
 
-    A mass is in kg and a torque in N m, or as the heading says ("mass [g]"). Rows are in the order in which the loads
-    are, or were, hung; the other side of the lever has a minus. arm: m, for masses. Raises WrongUse with the row that
-    is wrong.
+    A mass is in kg and a torque in N m, unless the heading names another unit ("mass [g]"). The rows are in the order
+    in which the loads are hung. A load on the other side of the lever is negative. arm: length of the lever, m, needed
+    for masses. Raises WrongUse with the row that is wrong.
     """
     rows = _rows(path)
     if not rows:
@@ -64,7 +68,7 @@ def read_points(path: Path, arm: float | None) -> list[Load]:
 
 
 def _rows(path: Path) -> list[list[str]]:
-    """Return the cells of the file. Raises WrongUse for a file that is no CSV."""
+    """Return the rows of the CSV file, each as a list of texts. Raises WrongUse if the file is no CSV."""
     lines = read_text(path, largest=_LARGEST).splitlines()
     try:
         return list(csv.reader(lines))
@@ -73,7 +77,7 @@ def _rows(path: Path) -> list[list[str]]:
 
 
 def _columns(titles: list[str]) -> dict[str, int]:
-    """Return the places of the known columns, whatever units their headings name."""
+    """Return the index of each known column; the headings may contain a unit."""
     known = ("mass", "torque", "value")
     begun = {place: title.strip().lower() for place, title in enumerate(titles)}
     return {name: place for place, title in begun.items() for name in known if title.startswith(name)}

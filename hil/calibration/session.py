@@ -1,4 +1,4 @@
-"""Reading a stand for a calibration: the torque cell with a load on it, and the motor at rest with its torque off."""
+"""Readings of a stand for a calibration: the torque cell under a load, and the motor at rest with its torque off."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ _MOVED = 3.0  # counts that a motor at rest may move
 
 
 class TorqueCell(Protocol):
-    """A torque cell that gives every reading, in counts or as printed, above its tare."""
+    """The interface of a torque cell that gives each reading, in counts or as printed, with the tare subtracted."""
 
     tare: float
 
     def readings(self) -> list[tuple[float, float]]:
-        """Return times, s, and values since the last call."""
+        """Return the time, s, and the value of each reading since the last call."""
         ...
 
     def close(self) -> None:
-        """Close the link."""
+        """Close the connection to the cell."""
         ...
 
 
 class Steady(NamedTuple):
-    """A steady reading: its mean and standard deviation, in its own unit, and the number of readings."""
+    """The mean and standard deviation of a constant signal, in the signal's unit, and the number of readings."""
 
     mean: float
     std: float
@@ -47,9 +47,10 @@ class Steady(NamedTuple):
 
 @contextlib.contextmanager
 def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell]:
-    """Yield the stand's torque cell, tared; its readings are in counts or as printed, not in N m.
+    """Yield the stand's torque cell, tared. Its readings are in counts or as printed, not in N m.
 
-    clock: the clock of the readings' times, None: monotonic. Raises WrongUse if the stand has none, DriverError.
+    clock: gives the times of the readings; None: a monotonic clock. Raises WrongUse if the stand has no torque cell,
+    DriverError if it cannot be opened.
     """
     if stand.sensor is None:
         raise WrongUse(
@@ -64,9 +65,10 @@ def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell
 
 
 def steady(cell: TorqueCell, clock: Clock) -> Steady:
-    """Return the reading of a load that hangs still: wait a second for it to settle, then read for two.
+    """Return the cell's reading under a load that hangs still: wait one second for the load to settle, then read for
+    two seconds.
 
-    Raises Untrustworthy if too few readings come, LinkLost if the cell is gone.
+    Raises Untrustworthy if there are too few readings, LinkLost if the connection to the cell is lost.
     """
     _readings(cell, clock, _SETTLING)
     values = _readings(cell, clock, _READING)[:, 1]
@@ -74,7 +76,9 @@ def steady(cell: TorqueCell, clock: Clock) -> Steady:
 
 
 def released(cell: TorqueCell, clock: Clock) -> NDArray[np.float64]:
-    """Return times, s, and readings (n, 2) of ten seconds, within which a load is taken off. Raises LinkLost."""
+    """Return the time, s, and the value of each reading, (n, 2), of ten seconds in which a load is taken off. Raises
+    LinkLost.
+    """
     return _readings(cell, clock, _STEP)
 
 
@@ -95,10 +99,10 @@ def _readings(cell: TorqueCell, clock: Clock, seconds: float) -> NDArray[np.floa
 
 
 def motor_at_rest(stand: Stand) -> tuple[Steady, float]:
-    """Return the motor's angle, rad, as the drive reads it with its torque off, and the size of its count (NaN:
-    unknown).
+    """Return the motor's angle, rad, read from the drive with its torque off, and the size of one encoder count, rad
+    (NaN if unknown).
 
-    Raises DriverError, Untrustworthy if it moves or is not read.
+    Raises DriverError, and Untrustworthy if the motor moves or its angle cannot be read.
     """
     plain = dataclasses.replace(stand, stand=stand.stand.model_copy(update={"zero": 0.0}), sensor=None)
     servo, _ = open_servo(plain)

@@ -1,9 +1,9 @@
 """The delay and the bandwidth of a torque cell from its response to a load that is taken off suddenly.
 
 Two responses are fitted by least squares, and the better one is chosen. A converter that averages over T s (an HX711, a
-sigma-delta converter) responds with a ramp of length T: its reading is T/2 old, and a sine at 0.443/T keeps 71 % of its
-amplitude. A first-order low-pass with time constant tau delays low frequencies by tau, and has a bandwidth of 1/(2 pi
-tau). A constant delay on the way to the computer cannot be seen in this way.
+sigma-delta converter) responds with a ramp of length T: the delay of its reading is T/2, and a sine at 0.443/T keeps 71
+% of its amplitude. A first-order low-pass with time constant tau delays low frequencies by tau, and has a bandwidth of
+1/(2 pi tau). A constant delay on the way to the computer cannot be measured in this way.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ _FEW = 8  # readings on each side
 
 
 class StepResponse(NamedTuple):
-    """delay and its standard uncertainty, s; bandwidth, Hz; shape: "average" or "low-pass"."""
+    """The response of a torque cell to a step of the load.
+
+    delay: s. uncertainty: standard uncertainty of the delay, s. bandwidth: Hz. shape: "average" or "low-pass".
+    """
 
     delay: float
     uncertainty: float
@@ -46,13 +49,15 @@ _SHAPES: dict[str, tuple[Shape, float, float]] = {
     "average": (_ramp, 0.5, 0.443),
     "low-pass": (_decay, 1.0, 1.0 / (2.0 * math.pi)),
 }
-"""For each shape, the response to a step at 0 by its length, and the delay and the bandwidth for a length of 1 s."""
+"""For each shape of response: the response to a step at time 0, as a function of its length, and the delay and
+bandwidth for a length of 1 s.
+"""
 
 
 def step_response(time: Array, value: Array) -> StepResponse:
-    """Return the response of a cell, from readings (n,) at times (n,), s, that contain one step.
+    """Return the step response of a cell from its readings `value` (n,) at `time` (n,), s, which contain one step.
 
-    Raises Untrustworthy if there is no clear step, or too little before or after it.
+    Raises Untrustworthy if there is no clear step, or if there are too few readings before or after the step.
     """
     time, step = _normalised(time, value)
     period = float(np.median(np.diff(time)))
@@ -69,7 +74,7 @@ def step_response(time: Array, value: Array) -> StepResponse:
 
 
 def _normalised(time: Array, value: Array) -> tuple[Array, Array]:
-    """Return times (n,) and readings scaled to go from 0 to 1."""
+    """Return the times (n,), and the readings scaled so that the step goes from 0 to 1."""
     if len(value) < 2 * _FEW:
         raise Untrustworthy(f"{len(value)} readings are too few for a step: measure for longer")
     before, after = float(np.median(value[:_FEW])), float(np.median(value[-_FEW:]))
@@ -87,7 +92,7 @@ def _normalised(time: Array, value: Array) -> tuple[Array, Array]:
 
 
 def _fitted(time: Array, step: Array, shape: Shape, period: float) -> tuple[float, float]:
-    """Return the squared error and the length of the best response of a shape."""
+    """Return the squared error of the best response of one shape, and the length of that response."""
 
     def error(begin_and_length: Array) -> float:
         begin, length = float(begin_and_length[0]), math.exp(float(begin_and_length[1]))

@@ -1,8 +1,8 @@
 """The scale of a torque cell from known loads: a line with Student's interval, and a check for impossible loads.
 
 The readings are fitted as a line over the torques, because the readings have the larger error; the scale is the inverse
-of its slope. With n points the slope's 95 % interval is t(0.975, n - 2) standard errors (Student's t). The error of the
-loads themselves (lever arm, gravity) is common to all points and is added.
+of the slope. With n loads the slope's 95 % interval is t(0.975, n - 2) standard errors (Student's t). The error of
+lever arm and gravity, which is the same for all loads, is added.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from hil.errors import Untrustworthy, WrongUse
 Array = NDArray[np.float64]
 
 GRAVITY = 9.80665
-"""m/s^2, standard."""
+"""Standard gravity, m/s^2."""
 GRAVITY_UNCERTAINTY = 0.0015
-"""Relative standard uncertainty of gravity at an unknown place: 9.780 m/s^2 at the equator to 9.832 at the poles."""
+"""Relative standard uncertainty of gravity at an unknown place on Earth: 9.780 m/s^2 at the equator to 9.832 at the
+poles.
+"""
 _NORMAL = 1.96
 _GRAMS = 30.0  # factor between two loads for one reading, from which another unit is the likely reason
 _BEYOND = 20.0  # of the torque limit, that no calibration needs
@@ -32,7 +34,10 @@ _BENT = 0.05  # of the span, root mean square
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A known torque, N m, positive as the joint's; the cell's reading above its tare; a name for messages."""
+    """A known load and the cell's reading of it.
+
+    torque: N m, with the sign of the joint's torque. value: the cell's reading without the tare. name: for messages.
+    """
 
     torque: float
     value: float
@@ -41,11 +46,12 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The calibrated scale.
+    """The calibrated scale of a torque cell.
 
-    scale: N m for a reading of 1. uncertainty: relative, a 95 % interval of +- 1.96 of it. offset: the reading at zero
-    torque. hysteresis: N m, the largest difference between one load approached from below and from above; NaN where
-    none was. residual: N m, root mean square. points: their number. one_sided: whether all loads pulled the same way.
+    scale: N m for a reading of 1. uncertainty: relative standard uncertainty; the 95 % interval is +- 1.96 times this.
+    offset: the reading at zero torque. hysteresis: largest difference, N m, between the same load approached from below
+    and from above; NaN if no load was approached from both. residual: root mean square of the fit's residuals, N m.
+    points: number of loads. one_sided: whether all loads pulled in the same direction.
     """
 
     scale: float
@@ -64,10 +70,10 @@ class Scale:
 
 
 def fit(points: Sequence[Point], load_uncertainty: float = 0.0) -> Scale:
-    """Return the scale from three or more points, in the order in which they were read.
+    """Return the scale from three or more loads, in the order in which they were read.
 
-    load_uncertainty: of all torques together, relative, one standard deviation. Raises WrongUse for too few different
-    loads, Untrustworthy if the points are not on a line that rises.
+    load_uncertainty: relative standard uncertainty that all torques have in common. Raises WrongUse for too few
+    different loads, Untrustworthy if the readings do not lie on a rising line.
     """
     torque, value = np.array([[point.torque, point.value] for point in points]).reshape(-1, 2).T
     if len(points) < 3 or len(np.unique(torque)) < 2:
@@ -114,7 +120,9 @@ def _check_slope(slope: float, unrelated: bool) -> None:
 
 
 def _hysteresis(torque: Array, value: Array) -> float:
-    """Return the largest difference of a load's readings between loading and unloading; NaN without both."""
+    """Return the largest difference between a load's readings during loading and unloading; NaN if no load was read in
+    both.
+    """
     came = np.sign(np.diff(torque, prepend=0.0))
     found = []
     for load in np.unique(torque):
@@ -125,7 +133,7 @@ def _hysteresis(torque: Array, value: Array) -> float:
 
 
 def implausible(points: Sequence[Point], limit: float | None) -> str:
-    """Return why the loads are impossible, with the most likely reason; "" if they are possible.
+    """Return a sentence why the loads are impossible, with the most likely cause; "" if they are possible.
 
     limit: the stand's torque limit, N m.
     """

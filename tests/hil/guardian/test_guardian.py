@@ -211,11 +211,11 @@ def test_a_process_that_dies_or_is_stopped_has_its_torque_switched_off(
         assert until(lambda: line.read().endswith(RESTORE))
     said: list[str] = []
 
-    def told() -> bool:
+    def announced() -> bool:
         said.append(capfd.readouterr().err)
         return "".join(said).endswith(": the guardian sent torque-off\n")
 
-    assert until(told)
+    assert until(announced)
     assert "hil: the process that drove the motor " in "".join(said)
 
 
