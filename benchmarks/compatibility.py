@@ -331,9 +331,10 @@ def main() -> None:
         for said, named in models.items():
             rows.append(f"| {session.client} {found} | {session.backend} | {', '.join(named)} | {said} |")
     intro = (
-        "# Compatibility\n\nIndependent clients work with the emulated drives of `hil emulate`: each client\n"
-        "identifies the drive, switches it on, reads its state and switches it off. The table is written by\n"
-        "`python benchmarks/compatibility.py`.\n\n"
+        "# Compatibility\n\n"
+        'Programs and libraries of other authors ("clients") work with the emulated drives of `hil emulate`. In the\n'
+        "test each client identifies the drive, switches the drive on, reads its state and switches it off. `python\n"
+        "benchmarks/compatibility.py` writes this table.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
     behind = page.read_text(encoding="utf-8").partition("## A chirp")  # benchmarks/chirps.py writes that
