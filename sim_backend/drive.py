@@ -8,34 +8,17 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from drivers.servo import Command, Limits, Quantity
-from ga.compiled import compiled
-from sim_backend.integrator import SIZE, TIME, Path, integrate, path_in, recall, start
-from sim_backend.plant import (
-    CELL,
-    JOINT,
-    MOTOR,
-    TORQUE,
-    VELOCITY,
-    WINDING,
-    Constants,
-    Vector,
-    constants,
-    coupling_torque,
-    packed,
-)
+from ga.compiled import compiled_no_refcount, compiled_within
+from sim_backend.integrator import CLOCK, STATE, TIME, Path, integrate, start
+from sim_backend.plant import MOTOR, TORQUE, VELOCITY, WINDING, Packed, Vector, constants, coupling_torque, packed
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from sim_backend.parameters import SimParameters
-
-
-Packed: TypeAlias = "NDArray[np.void]"
 
 
 class FaultCode(IntEnum):
@@ -53,178 +36,90 @@ REMEDY = {
 }
 
 # The drive's memory, one number a place.
-ENABLED = 0
-POSITION_MODE = 1
-SETPOINT = 2
-DEMAND = 3
-INTEGRAL = 4
-FED = 5
-FAULT = 6
-SATURATED = 7
-FROZEN = 8
-"""rad: the angle that a frozen encoder repeats; NaN while it works."""
-MAX_TORQUE = 9
-MAX_VELOCITY = 10
-MAX_TEMPERATURE = 11
-NEXT_AT = 12
-"""s from which the set-point that has arrived last may be taken over; infinite where it has been."""
-NEXT_POSITION = 13
-NEXT_VALUE = 14
-PLACES = 15
-
-_AGES = 4
-"""s since what each sensor shows: motor position, motor torque, joint position, joint torque."""
-
-
-class Settings(NamedTuple):
-    """The firmware's constants. period, watchdog s; lsb rad; the rest as in `DriveParameters`."""
-
-    period: float
-    watchdog: float
-    lsb: float
-    gain: float
-    integral_gain: float
-    damping_gain: float
+(
+    ENABLED,
+    POSITION_MODE,
+    SETPOINT,
+    DEMAND,
+    INTEGRAL,
+    FED,
+    FAULT,
+    SATURATED,
+    FROZEN,  # rad: the angle that a frozen encoder repeats; NaN while it works
+    MAX_TORQUE,
+    MAX_VELOCITY,
+    MAX_TEMPERATURE,
+    NEXT_AT,  # s from which the set-point that has arrived last may be taken over; infinite where it has been
+    NEXT_POSITION,
+    NEXT_VALUE,
+    # constants of the firmware: s, s, rad, then as in `DriveParameters`
+    PERIOD,
+    WATCHDOG,
+    LSB,
+    GAIN,
+    INTEGRAL_GAIN,
+    DAMPING_GAIN,
+    PLACES,
+) = range(22)
 
 
-_SETTINGS = np.dtype([(name, np.float64) for name in Settings._fields])
-_CONSTANTS = np.dtype([(name, np.float64) for name in Constants._fields])
-_TO_SETTINGS = PLACES + len(Settings._fields)
-_TO_CONSTANTS = _TO_SETTINGS + len(Constants._fields)
-_HEAD = _TO_CONSTANTS + _AGES
+@compiled_no_refcount
+def run(memory: Vector, path: Path, constants: Packed, until: float) -> int:
+    """Carry plant and firmware to `until`, s, or to a beat that finds a fault; return its code, 0 for none.
+
+    memory: the firmware's, (PLACES,).
+    """
+    while True:
+        end, beat = until, math.inf
+        if memory[ENABLED] != 0.0:
+            # The millionth of a period keeps a beat that has just been struck from being struck again.
+            beat = (math.floor(path[CLOCK, TIME] / memory[PERIOD] + 1e-6) + 1.0) * memory[PERIOD]
+            end = until if beat > until else beat
+        integrate(path, memory[DEMAND], end, constants)
+        if beat > until:
+            return 0
+        fault = _beat(path, memory, beat)
+        if fault != 0:
+            return fault
 
 
-@compiled
-def _trip(path: Path, memory: Vector, code: float) -> None:
-    """Open the output stage, so that no current flows, and latch `code` (0: none)."""
-    memory[ENABLED] = 0.0
-    memory[DEMAND] = 0.0
-    memory[SETPOINT] = 0.0
-    memory[POSITION_MODE] = 0.0
-    memory[INTEGRAL] = 0.0
-    memory[NEXT_AT] = math.inf
-    path.state[TORQUE] = 0.0
-    if memory[FAULT] == 0.0:
-        memory[FAULT] = code
+@compiled_within
+def _beat(path: Path, memory: Vector, now: float) -> int:
+    """Take the set-point over that has arrived, look for faults, then regulate; return the code of a fault or 0."""
+    if memory[NEXT_AT] < now:
+        if memory[NEXT_POSITION] != 0.0 and memory[POSITION_MODE] == 0.0:
+            memory[INTEGRAL] = 0.0
+        memory[POSITION_MODE] = memory[NEXT_POSITION]
+        memory[SETPOINT] = memory[NEXT_VALUE]
+        memory[NEXT_AT] = math.inf
+    velocity = path[STATE, VELOCITY] if math.isnan(memory[FROZEN]) else 0.0
+    if abs(velocity) > memory[MAX_VELOCITY]:
+        return 1
+    if path[STATE, WINDING] > memory[MAX_TEMPERATURE]:
+        return 2
+    if now - memory[FED] > memory[WATCHDOG]:
+        return 3
+    _regulate(path, memory)
+    return 0
 
 
-@compiled
-def _regulate(path: Path, memory: Vector, settings: Settings) -> None:
+@compiled_within
+def _regulate(path: Path, memory: Vector) -> None:
     """Set the torque demand, N m, for the beat that begins now."""
     ceiling = memory[MAX_TORQUE]
     wanted = memory[SETPOINT]
     if memory[POSITION_MODE] != 0.0:
-        position = math.floor(path.state[MOTOR] / settings.lsb + 0.5) * settings.lsb
-        velocity = path.state[VELOCITY]
+        position = math.floor(path[STATE, MOTOR] / memory[LSB] + 0.5) * memory[LSB]
+        velocity = path[STATE, VELOCITY]
         if not math.isnan(memory[FROZEN]):
             position, velocity = memory[FROZEN], 0.0
         error = memory[SETPOINT] - position
-        wanted = settings.gain * error - settings.damping_gain * velocity + memory[INTEGRAL]
+        wanted = memory[GAIN] * error - memory[DAMPING_GAIN] * velocity + memory[INTEGRAL]
         if abs(wanted) <= ceiling:  # an integral that goes on while the torque cannot would wind up
-            memory[INTEGRAL] += settings.integral_gain * error * settings.period
+            memory[INTEGRAL] += memory[INTEGRAL_GAIN] * error * memory[PERIOD]
     if abs(wanted) > ceiling:
         memory[SATURATED] = 1.0
-    memory[DEMAND] = max(-ceiling, min(ceiling, wanted))
-
-
-@compiled
-def _beat(path: Path, memory: Vector, settings: Settings) -> None:
-    """One beat of the firmware: look for faults, then regulate."""
-    velocity = path.state[VELOCITY] if math.isnan(memory[FROZEN]) else 0.0
-    if abs(velocity) > memory[MAX_VELOCITY]:
-        _trip(path, memory, 1.0)
-    elif path.state[WINDING] > memory[MAX_TEMPERATURE]:
-        _trip(path, memory, 2.0)
-    elif path.now[TIME] - memory[FED] > settings.watchdog:
-        _trip(path, memory, 3.0)
-    else:
-        _regulate(path, memory, settings)
-
-
-class _Parts(NamedTuple):
-    """The one memory of a drive, which is passed to a compiled function in a twentieth of the time of its parts."""
-
-    memory: Vector
-    settings: Packed
-    constants: Packed
-    ages: Vector
-    path: Path
-
-
-@compiled
-def _parts(drive: Vector) -> _Parts:
-    return _Parts(
-        drive[:PLACES],
-        drive[PLACES:_TO_SETTINGS].view(_SETTINGS),
-        drive[_TO_SETTINGS:_TO_CONSTANTS].view(_CONSTANTS),
-        drive[_TO_CONSTANTS:_HEAD],
-        path_in(drive[_HEAD:]),
-    )
-
-
-@compiled
-def run(drive: Vector, until: float) -> None:
-    """Carry plant and firmware to `until`, s."""
-    parts = _parts(drive)
-    _carry(parts.path, parts.memory, parts.settings[0], parts.constants[0], until)
-
-
-@compiled
-def _take_over(memory: Vector) -> None:
-    """Take the set-point over that has arrived: a torque, N m, or a position, rad."""
-    if memory[NEXT_POSITION] != 0.0 and memory[POSITION_MODE] == 0.0:
-        memory[INTEGRAL] = 0.0
-    memory[POSITION_MODE] = memory[NEXT_POSITION]
-    memory[SETPOINT] = memory[NEXT_VALUE]
-    memory[NEXT_AT] = math.inf
-
-
-@compiled
-def _carry(path: Path, memory: Vector, settings: Settings, c: Constants, until: float) -> None:
-    """Carry plant and firmware to `until`, s."""
-    while memory[ENABLED] != 0.0:
-        # The millionth of a period keeps a beat that has just been struck from being struck again.
-        beat = (math.floor(path.now[TIME] / settings.period + 1e-6) + 1.0) * settings.period
-        if beat > until:
-            break
-        integrate(path, memory[DEMAND], beat, c)
-        if memory[NEXT_AT] < beat:
-            _take_over(memory)
-        _beat(path, memory, settings)
-    integrate(path, memory[DEMAND], until, c)
-
-
-class Seen(NamedTuple):
-    """The quantities at the sensors, each at its own instant, before noise and counts.
-
-    motor_position rad, motor_velocity rad/s (filtered), motor_torque N m, joint_position rad, joint_torque N m
-    (filtered), temperature degC.
-    """
-
-    motor_position: float
-    motor_velocity: float
-    motor_torque: float
-    joint_position: float
-    joint_torque: float
-    temperature: float
-
-
-@compiled
-def look(drive: Vector) -> Seen:
-    """Return what the sensors see of the drive in `Drive.numbers`; its motor angle is NaN where that is forgotten."""
-    parts = _parts(drive)
-    path, ages, state = parts.path, parts.ages, parts.path.trial
-    now = path.now[TIME]
-    known = recall(path, now - ages[0], state)
-    angle, velocity, temperature = state[MOTOR], state[VELOCITY], state[WINDING]
-    known &= recall(path, now - ages[1], state)
-    torque = state[TORQUE]
-    known &= recall(path, now - ages[2], state)
-    joint = state[JOINT]
-    known &= recall(path, now - ages[3], state)
-    if not known:
-        angle = math.nan
-    return Seen(angle, velocity, torque, joint, state[CELL], temperature)
+    memory[DEMAND] = ceiling if wanted > ceiling else -ceiling if wanted < -ceiling else wanted
 
 
 def _numbers(array: Vector) -> memoryview[float]:
@@ -235,40 +130,30 @@ def _numbers(array: Vector) -> memoryview[float]:
 class Drive:
     """A drive on the plant, commanded without a link. Times are in s since it was switched on.
 
-    watchdog: s of silence after which it turns its torque off. numbers: its whole state, for compiled functions.
+    watchdog: s of silence after which it turns its torque off. memory: the firmware's numbers, (PLACES,).
     """
 
     def __init__(self, parameters: SimParameters, *, watchdog: float) -> None:
-        drive, sensors = parameters.drive, parameters.sensors
+        drive = parameters.drive
         self.constants = constants(parameters)
-        self._ceiling = drive.torque_limit
-        self._lsb = 2.0 * math.pi / sensors.motor_counts
-        settings = Settings(
-            period=1.0 / drive.loop_rate,
-            watchdog=float(watchdog),
-            lsb=self._lsb,
-            gain=float(drive.position_gain),
-            integral_gain=float(drive.position_integral_gain),
-            damping_gain=float(drive.position_damping_gain),
-        )
-        ages = (
-            sensors.motor_position_delay,
-            sensors.motor_torque_delay,
-            sensors.joint_position_delay,
-            sensors.joint_torque_delay,
-        )
-        self.numbers = np.zeros(_HEAD + SIZE)
-        self.numbers[PLACES:_HEAD] = (*settings, *self.constants, *ages)
-        self.path = start(self.constants, self.numbers[_HEAD:])
-        self._memory = _numbers(self.numbers[:PLACES])
-        self._now = _numbers(self.path.now)
+        self.path = start(self.constants)
+        self.memory = np.zeros(PLACES)
+        self._packed = packed(self.constants)
+        self._memory, self._clock = _numbers(self.memory), _numbers(self.path[CLOCK])
         self._memory[FROZEN] = math.nan
         self._memory[NEXT_AT] = math.inf
+        self._memory[PERIOD] = 1.0 / drive.loop_rate
+        self._memory[WATCHDOG] = watchdog
+        self._memory[LSB] = 2.0 * math.pi / parameters.sensors.motor_counts
+        self._memory[GAIN] = drive.position_gain
+        self._memory[INTEGRAL_GAIN] = drive.position_integral_gain
+        self._memory[DAMPING_GAIN] = drive.position_damping_gain
+        self._ceiling = drive.torque_limit
 
     @property
     def time(self) -> float:
         """The time that plant and firmware have been carried to, s."""
-        return self._now[TIME]
+        return self._clock[TIME]
 
     @property
     def enabled(self) -> bool:
@@ -288,11 +173,12 @@ class Drive:
     @property
     def coupling_torque(self) -> float:
         """sigma_c now, N m."""
-        return float(coupling_torque(self.path.state, packed(self.constants, Constants._fields)[0]))
+        return float(coupling_torque(self.path[STATE], self._packed))
 
     def run(self, until: float) -> None:
         """Carry plant and firmware to `until`; nothing happens where that is past."""
-        run(self.numbers, until)
+        while fault := run(self.memory, self.path, self._packed, until):
+            self._trip(fault)
 
     def enable(self, limits: Limits) -> None:
         """Set the limits and let current flow, at zero torque; the watchdog starts now."""
@@ -306,7 +192,13 @@ class Drive:
         memory[ENABLED] = 1.0
 
     def _trip(self, code: int) -> None:
-        _trip(self.path, self.numbers[:PLACES], float(code))
+        """Open the output stage, so that no current flows, and latch `code` (0: none)."""
+        memory = self._memory
+        for place in (ENABLED, DEMAND, SETPOINT, POSITION_MODE, INTEGRAL):
+            memory[place] = 0.0
+        memory[NEXT_AT] = math.inf
+        self.path[STATE, TORQUE] = 0.0
+        memory[FAULT] = memory[FAULT] or code
 
     def disable(self) -> None:
         """No current from now on."""
@@ -318,7 +210,7 @@ class Drive:
 
     def feed(self) -> None:
         """Tell the watchdog that the host is alive."""
-        self._memory[FED] = self._now[TIME]
+        self._memory[FED] = self._clock[TIME]
 
     def follow(self, command: Command, at: float) -> None:
         """Take a set-point over at the first beat after `at`; it has no effect while disabled."""
@@ -338,7 +230,8 @@ class Drive:
 
     def freeze_encoder(self) -> None:
         """From now on the motor encoder repeats its count."""
-        self._memory[FROZEN] = math.floor(self.path.state[MOTOR] / self._lsb + 0.5) * self._lsb
+        memory = self._memory
+        memory[FROZEN] = math.floor(self.path[STATE, MOTOR] / memory[LSB] + 0.5) * memory[LSB]
 
     @property
     def frozen(self) -> float:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ga.compiled import compiled
-from sim_backend.drive import FROZEN, Drive, look, run
-from sim_backend.plant import Vector
+from ga.compiled import compiled_no_refcount
+from sim_backend.drive import FROZEN, Drive
+from sim_backend.integrator import CLOCK, TIME, TRIAL, Path, recall
+from sim_backend.plant import CELL, JOINT, MOTOR, TORQUE, VELOCITY, WINDING, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,35 +62,38 @@ def counted(value: float, lsb: float) -> float:
     return math.floor(value / lsb + 0.5) * lsb
 
 
-# The constants of the sensors, one number a place. The count of a sensor that the stand has not is NaN.
+# The constants of the sensors, one number a place: the count of each reading, NaN of a sensor that the stand has not;
+# the supply's voltage; noise and errors; from _AGES on the delays of motor position, motor torque, joint position and
+# joint torque, s.
 _POSITION, _VELOCITY, _TORQUE, _JOINT, _CELL, _TEMPERATURE, _VOLTAGE = range(7)
-_TORQUE_NOISE, _CELL_NOISE, _CELL_OFFSET, _CELL_DRIFT = range(7, 11)
+_TORQUE_NOISE, _CELL_NOISE, _CELL_OFFSET, _CELL_DRIFT, _AGES = range(7, 12)
 
 
-@compiled
-def _counts(value: float, lsb: float) -> float:
-    return float(np.floor(value / lsb + 0.5) * lsb)
-
-
-@compiled
-def _read(drive: Vector, at: float, c: Vector, motor_torque: float, joint_torque: float) -> Reading:
-    """Carry a drive to `at` s; return every channel there."""
-    run(drive, at)
-    seen = look(drive)
-    position, velocity = _counts(seen.motor_position, c[_POSITION]), _counts(seen.motor_velocity, c[_VELOCITY])
-    frozen = drive[FROZEN]
-    if not math.isnan(frozen):
-        position, velocity = frozen, velocity * 0.0
-    wrong = c[_CELL_OFFSET] + c[_CELL_DRIFT] * at + c[_CELL_NOISE] * joint_torque
-    return Reading(
-        position,
-        velocity,
-        _counts(seen.motor_torque + c[_TORQUE_NOISE] * motor_torque, c[_TORQUE]),
-        _counts(seen.joint_position, c[_JOINT]),
-        _counts(seen.joint_torque + wrong, c[_CELL]),
-        _counts(seen.temperature, c[_TEMPERATURE]),
-        c[_VOLTAGE],
-    )
+@compiled_no_refcount
+def read_channels(  # noqa: PLR0917 - compiled functions take their parts by position
+    memory: Vector, path: Path, c: Vector, at: float, motor_torque: float, joint_torque: float, reading: Vector
+) -> None:
+    """Write every channel at `at`, s, into `reading`, (7,); the motor position is NaN where it is not remembered."""
+    state, known = path[TRIAL], True
+    for sensor in range(4):
+        known &= recall(path, path[CLOCK, TIME] - c[_AGES + sensor], state)
+        if sensor == 0:
+            reading[_POSITION], reading[_VELOCITY] = state[MOTOR], state[VELOCITY]
+            reading[_TEMPERATURE] = state[WINDING]
+        elif sensor == 1:
+            reading[_TORQUE] = state[TORQUE] + c[_TORQUE_NOISE] * motor_torque
+        elif sensor == 2:
+            reading[_JOINT] = state[JOINT]
+        else:
+            wrong = c[_CELL_OFFSET] + c[_CELL_DRIFT] * at + c[_CELL_NOISE] * joint_torque
+            reading[_CELL] = state[CELL] + wrong
+    for channel in range(_VOLTAGE):
+        reading[channel] = np.floor(reading[channel] / c[channel] + 0.5) * c[channel]
+    reading[_VOLTAGE] = c[_VOLTAGE]
+    if not known:
+        reading[_POSITION] = math.nan
+    if not math.isnan(memory[FROZEN]):
+        reading[_POSITION], reading[_VELOCITY] = memory[FROZEN], reading[_VELOCITY] * 0.0
 
 
 class Sensors:
@@ -112,8 +116,13 @@ class Sensors:
                 sensors.torque_cell_noise,
                 sensors.torque_cell_offset,
                 sensors.torque_cell_drift,
+                sensors.motor_position_delay,
+                sensors.motor_torque_delay,
+                sensors.joint_position_delay,
+                sensors.joint_torque_delay,
             ]
         )
+        self._reading = np.empty(len(Reading._fields))
 
     def read(self, drive: Drive, at: float, motor_torque: float, joint_torque: float) -> Reading:
         """Carry the drive to `at`, s, and return every channel at its own instant.
@@ -121,8 +130,10 @@ class Sensors:
         The noise of the two torques is given, standard normal. Raises RuntimeError where one shows an instant further
         back than the plant remembers.
         """
-        reading = _read(drive.numbers, at, self._constants, motor_torque, joint_torque)
-        if reading[0] != reading[0]:
+        drive.run(at)
+        read_channels(drive.memory, drive.path, self._constants, at, motor_torque, joint_torque, self._reading)
+        reading = Reading(*self._reading.tolist())
+        if math.isnan(reading.motor_position):
             raise RuntimeError(
                 "a sensor shows an instant the plant no longer remembers: "
                 "lower the sensors' delays or fixture.stiffness"

@@ -35,6 +35,7 @@ from sim_backend.faults import (
     link_ends,
     within,
 )
+from sim_backend.integrator import STATE
 from sim_backend.plant import (
     CELL,
     JOINT,
@@ -213,7 +214,7 @@ class SimServo:
         """Return the plant's state at the present time of the clock, open or closed, for tests. No time passes."""
         self._advance(self.clock.now())
         drive = self._drive
-        state = drive.path.state
+        state = drive.path[STATE]
         return TrueState(
             t=self._opened + drive.time,
             motor_position=float(state[MOTOR]),

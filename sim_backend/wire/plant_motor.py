@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from sim_backend.fault_plan import FaultPlan
-from sim_backend.integrator import TIME, integrate, start
+from sim_backend.integrator import CLOCK, STATE, TIME, integrate, start
 from sim_backend.parameters import SimParameters
 from sim_backend.plant import (
     HOUSING,
@@ -19,7 +19,6 @@ from sim_backend.plant import (
     MOTOR_RATE,
     TORQUE,
     VELOCITY,
-    Constants,
     constants,
     coupling_torque,
     packed,
@@ -65,35 +64,35 @@ class PlantMotor(Generic[Law]):
         self.inertia = plant.inertia
         self._note = note
         self._faults = DriveFaults(FaultPlan())
-        self._packed = packed(plant, Constants._fields)
+        self._constants = packed(plant)
         self._path = start(plant)
         # no time passes; the machine code is there before the first request comes
-        integrate(self._path, 0.0, 0.0, self._packed[0])
+        integrate(self._path, 0.0, 0.0, self._constants)
 
     @property
     def time(self) -> float:
         """The time it has been carried to, s."""
-        return float(self._path.now[TIME])
+        return float(self._path[CLOCK, TIME])
 
     @property
     def position(self) -> float:
         """The angle as the drive's encoder measures it, rad."""
-        return self._faults.angle(float(self._path.state[MOTOR]), self.time)
+        return self._faults.angle(float(self._path[STATE, MOTOR]), self.time)
 
     @property
     def velocity(self) -> float:
         """The speed as the drive filters it, rad/s."""
-        return self._faults.speed(float(self._path.state[VELOCITY]), self.time)
+        return self._faults.speed(float(self._path[STATE, VELOCITY]), self.time)
 
     @property
     def rate(self) -> float:
         """The speed, rad/s."""
-        return float(self._path.state[MOTOR_RATE])
+        return float(self._path[STATE, MOTOR_RATE])
 
     @property
     def torque(self) -> float:
         """The torque that the current makes, N m."""
-        return float(self._path.state[TORQUE])
+        return float(self._path[STATE, TORQUE])
 
     @property
     def demand(self) -> float:
@@ -103,7 +102,7 @@ class PlantMotor(Generic[Law]):
     @property
     def temperature(self) -> float:
         """The temperature of the housing as the drive measures it, degC."""
-        return self._faults.temperature(float(self._path.state[HOUSING]), self.time)
+        return self._faults.temperature(float(self._path[STATE, HOUSING]), self.time)
 
     @property
     def watchdog_broken(self) -> bool:
@@ -118,11 +117,11 @@ class PlantMotor(Generic[Law]):
     @property
     def coupling_torque(self) -> float:
         """The torque in the coupling, sigma_c, N m."""
-        return float(coupling_torque(self._path.state, self._packed[0]))
+        return float(coupling_torque(self._path[STATE], self._constants))
 
     def warm_to(self, temperature: float) -> None:
         """Heat winding and housing to `temperature` degC at once."""
-        self._path.state[HOUSING - 1] = self._path.state[HOUSING] = temperature
+        self._path[STATE, HOUSING - 1] = self._path[STATE, HOUSING] = temperature
 
     def follow(self, law: Law) -> None:
         """Replace the demand law."""
@@ -142,7 +141,7 @@ class PlantMotor(Generic[Law]):
             self.observer()
             return
         self.commanded = 0.0
-        self._path.state[TORQUE] = 0.0
+        self._path[STATE, TORQUE] = 0.0
         self.observer()
 
     def run(self, until: float) -> None:
@@ -153,7 +152,7 @@ class PlantMotor(Generic[Law]):
                 self.commanded = self.demand
             if self.law.beats(self.enabled) and not self._rests:
                 end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
-            integrate(self._path, self.commanded, end, self._packed[0])
+            integrate(self._path, self.commanded, end, self._constants)
             self.observer()
             if self._note is not None:
                 self._note(self.time, self.coupling_torque)

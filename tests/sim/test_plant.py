@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from sim_backend import plant
-from sim_backend.integrator import integrate, recall, start
+from sim_backend.integrator import CLOCK, STATE, WRITTEN, integrate, recall, start
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters
 from sim_backend.plant import packed
 
@@ -41,17 +41,17 @@ def swept(parameters: SimParameters, demands: Vector, hold: float, state: Vector
     c = plant.constants(parameters)
     path = start(c)
     if state is not None:
-        path.state[:] = state
-    record = packed(c, plant.Constants._fields)[0]
+        path[STATE, : plant.STATES] = state
+    record = packed(c)
     rows = []
     for k, demand in enumerate(demands):
         integrate(path, float(demand), (k + 1) * hold, record)
-        rows.append(path.state.copy())
+        rows.append(path[STATE, : plant.STATES].copy())
     return np.array(rows)
 
 
 def torques(parameters: SimParameters, states: Vector) -> Vector:
-    record = packed(plant.constants(parameters), plant.Constants._fields)[0]
+    record = packed(plant.constants(parameters))
     return np.array([plant.coupling_torque(state, record) for state in states])
 
 
@@ -278,13 +278,13 @@ def test_the_winding_warms_as_its_two_heat_capacities_say() -> None:
 def test_the_past_is_remembered_between_the_steps_and_said_to_be_forgotten_beyond() -> None:
     parameters = SimParameters(coupling=LINEAR)
     c = plant.constants(parameters)
-    record = packed(c, plant.Constants._fields)[0]
+    record = packed(c)
     path, there = start(c), np.zeros(plant.STATES)
     integrate(path, 1e-3, 0.02, record)
     fresh = start(c)
     integrate(fresh, 1e-3, 0.01234, record)
     assert recall(path, 0.01234, there)
-    np.testing.assert_allclose(there[: plant.BRISTLE], fresh.state[: plant.BRISTLE], rtol=1e-6)
+    np.testing.assert_allclose(there[: plant.BRISTLE], fresh[STATE, : plant.BRISTLE], rtol=1e-6)
     assert recall(path, -1.0, there)
     np.testing.assert_array_equal(there, plant.at_rest(c))
     for tick in range(300):
@@ -299,8 +299,8 @@ def test_the_fastest_rate_is_the_stiff_fixtures_and_the_steps_follow_it(stiffnes
     rate = plant.fastest_rate(c)
     assert rate == pytest.approx(math.sqrt(stiffness / 5e-6), rel=1e-3)
     path = start(c)
-    integrate(path, 1e-3, 0.05, packed(c, plant.Constants._fields)[0])
-    assert path.written[0] / 0.05 == pytest.approx(rate, rel=0.4)
+    integrate(path, 1e-3, 0.05, packed(c))
+    assert path[CLOCK, WRITTEN] / 0.05 == pytest.approx(rate, rel=0.4)
 
 
 def test_the_default_stand_is_not_a_slow_one() -> None:
