@@ -143,7 +143,7 @@ def measure(  # noqa: PLR0917 - compiled functions take their parts by position
         size += abs(torque[i]) / n
         for k in range(p):
             extent[k] += abs(columns[i, k])
-            scale[k] = max(scale[k], abs(columns[i, k]))
+            scale[k] = abs(columns[i, k]) if abs(columns[i, k]) > scale[k] else scale[k]
     for k in range(p):
         size = size if scale[k] > 0.0 else 0.0
     for i in range(n if size > 0.0 else 0):
@@ -205,7 +205,7 @@ def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by posit
         entry = 0.0
         for j in range(p):
             entry += abs(inverse[k, j] * target[basis[j]])
-        most = max(most, entry)  # entries of the point that cancel have an error too
+        most = entry if entry > most else most  # entries of the point that cancel have an error too
     largest = 2.0 * p * np.sqrt(n) * most  # no entry of a column whose squares are 1 on average is above sqrt(n)
     for i in range(n):
         if i == met:
@@ -263,6 +263,8 @@ def conclude(  # noqa: PLR0917 - compiled functions take their parts by position
     for k in range(p):
         total = sums[k]
         for j in range(p):
-            total += min(max(needed[j], -1.0), 1.0) * scaled[basis[j], k]
-        worst = max(worst, abs(total) / extent[k])
+            sign = 1.0 if needed[j] > 1.0 else -1.0 if needed[j] < -1.0 else needed[j]
+            total += sign * scaled[basis[j], k]
+        if not abs(total) / extent[k] <= worst:  # nor where it is not a number
+            worst = abs(total) / extent[k]
     return worst

@@ -53,7 +53,6 @@ class Room(NamedTuple):
     point: Vector
     direction: Vector
     downhill: Vector
-    multiplier: Vector
     inverse: Matrix
     met: Matrix
 
@@ -61,7 +60,7 @@ class Room(NamedTuple):
 def room_for(n: int, r: int) -> Room:
     """Return working space for n rows of r columns."""
     residual, along, place, weight = np.empty((4, n))
-    point, direction, downhill, multiplier = np.zeros((4, r))
+    point, direction, downhill = np.zeros((3, r))
     return Room(
         residual=residual,
         along=along,
@@ -71,7 +70,6 @@ def room_for(n: int, r: int) -> Room:
         point=point,
         direction=direction,
         downhill=downhill,
-        multiplier=multiplier,
         inverse=np.empty((r, r)),
         met=np.zeros((r, r)),
     )
@@ -90,57 +88,50 @@ def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[
 def step_down(  # noqa: PLR0917 - compiled functions take their parts by position
     rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis, room: Room
 ) -> int:
-    """Do what `descend` does: downhill along rays until r rows are met, the first vertex, then from vertex to vertex.
+    """Fill in the basis (r,) as `descend` does, beginning with r artificial rows that meet at the start.
 
-    One loop for both, because what it calls is compiled once more for every place that it is called from.
+    These are the unit vectors, numbered -1, which weigh nothing: they leave first, one by one, until the first vertex.
     """
     r, short_steps = basis.size, 0
-    met: int = np.int64(0)  # type: ignore[assignment]  # for a plain 0 what it is passed to is compiled once more
-    for k in range(r):
-        room.point[k] = start[k]
+    for i in range(r):
+        basis[i] = -1
     for _ in range(_MOST):
-        if met == r and (short_steps >= 4 * r + 8 or not _to_vertex(rows, torque, basis, room)):
+        if short_steps >= 4 * r + 8 or not _to_vertex(rows, torque, start, basis, room):
             return STALLED
         _residuals(rows, torque, room.point, room.residual)
-        for i in range(met):
-            room.residual[basis[i]] = np.nan  # neither sign: the row is in the basis
+        for i in range(r):
+            if basis[i] >= 0:
+                room.residual[basis[i]] = np.nan  # neither sign: the row is in the basis
         _gradient(rows, room.residual, room.weight, pull, room.downhill)
-        leaving, slope = met, 0.0
-        if met < r:
-            slope = _free_direction(room.met, met, room.downhill, room.direction)
-        else:
-            leaving = _leave(room)
-            if leaving < 0:
-                return OPTIMAL
-            slope = abs(room.multiplier[leaving]) - 1.0
+        leaving, slope = _leave(basis, room)
+        if leaving < 0:
+            return OPTIMAL
         _project(rows, room.direction, room.along)
-        entering, step = lowest_crossing(room, slope)
+        length = _length(room.direction)
+        entering, step = lowest_crossing(room, slope, length)
         if entering < 0:
             return UNBOUNDED
+        is_short = basis[leaving] >= 0 and step * length < 1e-13 * (1.0 + _length(room.point))
+        short_steps = short_steps + 1 if is_short else 0
         basis[leaving] = entering
-        if met < r:
-            _meet(rows, entering, met, step, room)
-            met += 1
-        else:
-            is_short = step * _length(room.direction) < 1e-13 * (1.0 + _length(room.point))
-            short_steps = short_steps + 1 if is_short else 0
     return STALLED
 
 
 @compiled_within
-def _to_vertex(rows: Matrix, torque: Vector, basis: Basis, room: Room) -> bool:
+def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: Room) -> bool:
     """Invert the rows of the basis and go to where they have no residual; False where they are dependent."""
-    r, inverse = basis.size, room.inverse
+    r, inverse, met, point = basis.size, room.inverse, room.met, room.point
     for i in range(r):
+        at = basis[i]
         for k in range(r):
-            room.met[i, k] = rows[k, basis[i]]
             inverse[i, k] = 1.0 if i == k else 0.0
-    if not invert(room.met, inverse):
+            met[i, k] = rows[k, at] if at >= 0 else inverse[i, k]
+    if not invert(met, inverse):
         return False
     for k in range(r):
-        room.point[k] = 0.0
+        point[k] = 0.0
         for j in range(r):
-            room.point[k] += inverse[k, j] * torque[basis[j]]
+            point[k] += inverse[k, j] * (torque[basis[j]] if basis[j] >= 0 else start[j])
     return True
 
 
@@ -168,82 +159,32 @@ def invert(left: Matrix, inverse: Matrix) -> bool:
 
 
 @compiled_within
-def _leave(room: Room) -> int:
+def _leave(basis: Basis, room: Room) -> tuple[int, float]:
     """Choose the basis row whose edge goes down most steeply, and set the direction along it; -1 where none does.
 
-    Its multiplier makes the subgradient zero; the vertex is optimal where all are within -1 ... 1.
+    Its multiplier makes the subgradient zero; the vertex is optimal where all are within -1 ... 1. Of artificial rows,
+    whose multipliers should be zero, one leaves in any case. Also returned: how fast the sum falls along the edge.
     """
-    best, steepest, r = -1, 0.0, room.point.size
+    inverse, downhill, direction, r = room.inverse, room.downhill, room.direction, basis.size
+    best, steepest, slope, sign, allowed = -1, 0.0, 0.0, 1.0, 1.0
     for j in range(r):
-        multiplier = length = 0.0
+        if basis[j] < 0:
+            steepest, allowed = -1.0, 0.0
+    for j in range(r):
+        multiplier = square = 0.0
         for k in range(r):
-            multiplier -= room.inverse[k, j] * room.downhill[k]
-            length += room.inverse[k, j] * room.inverse[k, j]
-        room.multiplier[j] = multiplier
-        excess = abs(multiplier) - 1.0
-        if excess > _SLACK and excess > steepest * np.sqrt(length):
-            best, steepest = j, excess / np.sqrt(length)
+            multiplier -= inverse[k, j] * downhill[k]
+            square += inverse[k, j] * inverse[k, j]
+        excess, length = abs(multiplier) - allowed, np.sqrt(square)
+        if (basis[j] < 0) == (allowed == 0.0) and excess > _SLACK * allowed and excess > steepest * length:
+            best, steepest, slope, sign = j, excess / length, excess, -1.0 if multiplier > 0.0 else 1.0
     if best >= 0:
-        sign = -1.0 if room.multiplier[best] > 0.0 else 1.0
         for k in range(r):
-            room.direction[k] = sign * room.inverse[k, best]
-    return best
+            direction[k] = sign * inverse[k, best]
+    return best, slope
 
 
 @compiled_within
-def _meet(rows: Matrix, entering: int, count: int, step: float, room: Room) -> None:
-    """Go to where the entering row has no residual, and keep it so: its unit normal joins the rows met."""
-    for k in range(room.point.size):
-        room.point[k] += step * room.direction[k]
-        room.met[count, k] = rows[k, entering]
-    normal = room.met[count]
-    _remove(room.met, count, normal)
-    size = _length(normal)
-    for k in range(normal.size):
-        normal[k] /= size
-
-
-@compiled_within
-def _free_direction(met: Matrix, count: int, downhill: Vector, direction: Vector) -> float:
-    """The steepest direction, a unit vector, in which the rows met do not change; returns how steep it is.
-
-    Where none goes down, any that is free.
-    """
-    r = direction.size
-    for k in range(r):
-        direction[k] = downhill[k]
-    least = 1e-9 * _length(downhill)
-    _remove(met, count, direction)
-    axis = 0
-    while not _length(direction) > least:
-        least = 1e-3  # of r axes, one at least has more than that outside the span of fewer than r rows
-        for k in range(r):
-            direction[k] = 1.0 if k == axis else 0.0
-        _remove(met, count, direction)
-        axis += 1
-    size, slope = _length(direction), 0.0
-    for k in range(r):
-        direction[k] /= size
-        slope += downhill[k] * direction[k]
-    if slope < 0.0:
-        for k in range(r):
-            direction[k] = -direction[k]
-    return abs(slope)
-
-
-@compiled_no_refcount
-def _remove(met: Matrix, count: int, vector: Vector) -> None:
-    """Take out of the vector, twice for rounding's sake, what lies along the first `count` unit rows."""
-    for _ in range(2):
-        for i in range(count):
-            part = 0.0
-            for k in range(vector.size):
-                part += met[i, k] * vector[k]
-            for k in range(vector.size):
-                vector[k] -= part * met[i, k]
-
-
-@compiled_no_refcount
 def _length(vector: Vector) -> float:
     total = 0.0
     for k in range(vector.size):
@@ -284,7 +225,7 @@ def _gradient(rows: Matrix, residual: Vector, sign: Vector, pull: Vector, downhi
         # a residual of zero counts as just above it, here and on the ray; one of the basis, NaN, has no sign
         sign[i] = 1.0 if residual[i] >= 0.0 else -1.0 if residual[i] < 0.0 else 0.0
     for k in range(0, pull.size, 2):
-        following = min(k + 1, pull.size - 1)
+        following = k + 1 if k + 1 < pull.size else k
         one, other = pull[k], pull[following]
         for i in range(residual.size):
             one += sign[i] * rows[k, i]
@@ -293,16 +234,16 @@ def _gradient(rows: Matrix, residual: Vector, sign: Vector, pull: Vector, downhi
 
 
 @compiled_within
-def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
+def lowest_crossing(room: Room, slope: float, length: float) -> tuple[int, float]:
     """Where on the ray the sum is lowest: the row that changes sign there, and how far it is; (-1, 0) if nowhere.
 
-    residual (n,) at the start; along (n,) how fast each falls; slope: how fast the sum falls at the start. The slope
-    flattens by 2 |along| at each row's change of sign, so the place is a weighted median: quickselect, O(n), among the
-    rows that change no later than where some of them alone have it.
+    residual (n,) at the start; along (n,) how fast each falls; slope: how fast the sum falls at the start; length: of
+    the direction. The slope flattens by 2 |along| at each row's change of sign, so the place is a weighted median:
+    quickselect, O(n), among the rows that change no later than where some of them alone have it.
     """
     residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
     count, first, farthest = 0, 0, np.inf
-    flat = _FLAT * max(1.0, _length(room.direction))
+    flat = _FLAT * (length if length > 1.0 else 1.0)
     # where some of the rows have flattened the slope, all of them have: that settles most rows at a glance
     for stride in (_SPARSE, 1):
         count = first = 0
@@ -310,7 +251,7 @@ def lowest_crossing(room: Room, slope: float) -> tuple[int, float]:
             # every row is written, and the next one over it unless it counts: to guess which do costs more
             falling = along[i] if residual[i] >= 0.0 else -along[i]
             row[count], place[count], weight[count] = i, abs(residual[i]) / falling, falling
-            count += int((falling > flat) & (abs(residual[i]) / falling <= farthest))
+            count += 1 if (falling > flat) & (abs(residual[i]) / falling <= farthest) else 0
         last, left = count - 1, 0.5 * slope
         while first < last:
             less, more, below, equal = _partition(room, first, last)

@@ -174,7 +174,7 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
         return
     room = room_for(len(residual), 1)
     room.residual[:], room.along[:] = residual, along
-    entering, step = lowest_crossing(room, falling)
+    entering, step = lowest_crossing(room, falling, 1.0)
     assert crosses[entering]
     assert step == residual[entering] / along[entering]
 
