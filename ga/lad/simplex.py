@@ -176,7 +176,8 @@ def _leave(basis: Basis, room: Room) -> tuple[int, float]:
             multiplier -= inverse[k, j] * downhill[k]
             square += inverse[k, j] * inverse[k, j]
         excess, length = abs(multiplier) - allowed, np.sqrt(square)
-        if (basis[j] < 0) == (allowed == 0.0) and excess > _SLACK * allowed and excess > steepest * length:
+        may_leave = basis[j] < 0 if allowed == 0.0 else excess > _SLACK
+        if may_leave and excess > steepest * length:
             best, steepest, slope, sign = j, excess / length, excess, -1.0 if multiplier > 0.0 else 1.0
     if best >= 0:
         for k in range(r):
