@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import can
 import serial
 
-from drivers.canbus.off_path import Encode, datagram, encoded, slcan_text, socketcan_bytes
+from drivers.canbus.off_path import Encode, datagram, encoded, from_slcan_text, slcan_text, socketcan_bytes
 from drivers.off_path import OffPath, OwnBus, descriptor_of
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
 from drivers.uart.port import GONE, REMEDIES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from drivers.clock import Clock
 
@@ -33,6 +33,7 @@ BUDGET = 2048
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
 _FD_CLOCK = 80_000_000
 _SLCAN_SETTLE = 0.05
+_PATIENCE = 0.05  # s for a frame that the bus does not accept
 
 _REMEDIES = REMEDIES | {
     errno.ENODEV: "there is no such interface: check the adapter, and the name with `ip link`",
@@ -298,3 +299,23 @@ def _is_full(error: Exception) -> bool:
     if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
         return True
     return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)
+
+
+def sender(config: Mapping[str, Any]) -> Callable[[bytes], None]:
+    """Open the bus of `config` and return a function that sends one frame, given as the text of `slcan_text`.
+
+    This call raises OSError if the bus cannot be opened; the returned function raises OSError if the bus refuses the
+    frame.
+    """
+    try:
+        bus = open_interface(BusConfig(**config))
+    except DriverError as error:
+        raise OSError(str(error)) from None
+
+    def send(text: bytes) -> None:
+        try:
+            bus.send(from_slcan_text(text), timeout=_PATIENCE)
+        except can.CanError as error:
+            raise OSError(str(error)) from None
+
+    return send

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import can
 
-from drivers.servo import DriverError
-
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
-_PATIENCE = 0.05  # s for a frame that the bus does not accept
 _LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 Encode = Callable[[can.Message], bytes]
@@ -56,28 +53,6 @@ def datagram(message: can.Message) -> bytes:
     from can.interfaces.udp_multicast.utils import pack_message
 
     return bytes(pack_message(message))
-
-
-def sender(config: Mapping[str, Any]) -> Callable[[bytes], None]:
-    """Open the bus of `config` and return a function that sends one frame, given as the text of `slcan_text`.
-
-    This call raises OSError if the bus cannot be opened; the returned function raises OSError if the bus refuses the
-    frame.
-    """
-    from drivers.canbus.link import BusConfig, open_interface
-
-    try:
-        bus = open_interface(BusConfig(**config))
-    except DriverError as error:
-        raise OSError(str(error)) from None
-
-    def send(text: bytes) -> None:
-        try:
-            bus.send(from_slcan_text(text), timeout=_PATIENCE)
-        except can.CanError as error:
-            raise OSError(str(error)) from None
-
-    return send
 
 
 def encoded(messages: Iterable[can.Message], encode: Encode) -> tuple[bytes, ...]:

@@ -20,7 +20,7 @@ from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.commission import Report, commission
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.keys import keys_of
-from hil.doctor.link_test import check_link, check_readings, reachable
+from hil.doctor.link_check import check_link, check_readings, reachable
 from hil.doctor.stop_path import check_stop, check_watchdog
 from hil.doctor.tune import tune
 from hil.errors import WrongUse

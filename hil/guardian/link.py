@@ -22,7 +22,7 @@ def opened(way: dict[str, Any]) -> Send:
     Raises OSError if the bus cannot be opened a second time.
     """
     if way["bus"] is not None:
-        from drivers.canbus.off_path import sender
+        from drivers.canbus.link import sender
 
         return sender(way["bus"])
     if way["to"] is not None:

@@ -6,16 +6,29 @@ Source: mjbots/moteus fw/moteus_controller.cc, firmware_info.h, git_info.h and b
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from sim_backend.wire.moteus.command import TORQUE_CONSTANT, TURN, arrived
 from sim_backend.wire.moteus.telemetry import Field
 
 if TYPE_CHECKING:
-    from sim_backend.wire.moteus.device import MoteusDevice
+    from sim_backend.wire.plant_motor import PlantMotor
 
 
-def _firmware(device: MoteusDevice) -> list[Field]:
+class Observed(Protocol):
+    """The state of a device that its channels show. identity: the values of its registers by number."""
+
+    identity: dict[int, int]
+    motor: PlantMotor[Any]
+    mode: int
+    fault: int
+
+    @property
+    def turns(self) -> float:
+        """Return the position, turns of the output shaft."""
+
+
+def _firmware(device: Observed) -> list[Field]:
     words = [device.identity[0x120 + i] for i in range(3)]
     return [
         Field("version", "I", device.identity[0x101]),
@@ -25,11 +38,11 @@ def _firmware(device: MoteusDevice) -> list[Field]:
     ]
 
 
-def _git(_device: MoteusDevice) -> list[Field]:
+def _git(_device: Observed) -> list[Field]:
     return [Field("hash", "B", [0] * 20), Field("dirty", "?", 0), Field("timestamp", "q", 0)]
 
 
-def _servo_stats(device: MoteusDevice) -> list[Field]:
+def _servo_stats(device: Observed) -> list[Field]:
     motor = device.motor
     return [
         Field("mode", "I", device.mode),
@@ -44,7 +57,7 @@ def _servo_stats(device: MoteusDevice) -> list[Field]:
     ]
 
 
-CHANNELS: dict[str, Callable[[MoteusDevice], list[Field]]] = {
+CHANNELS: dict[str, Callable[[Observed], list[Field]]] = {
     "firmware": _firmware,
     "git": _git,
     "servo_stats": _servo_stats,
