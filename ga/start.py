@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_no_refcount
 from ga.samples import RESOLUTION
 
 if TYPE_CHECKING:
@@ -88,13 +87,9 @@ def within(start: Start, bounds: Bounds) -> Start | None:
 
 
 def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
-    """Fill in centre and coordinates; returns the reach, 0 where there is none.
-
-    Only what goes through the rows is compiled: the few numbers of p parameters are not worth a first run's seconds.
-    """
+    """Fill in centre and coordinates; returns the reach, 0 where there is none."""
     n, p = columns.shape
-    set_up = two_equations if p == 2 else equations  # each is compiled where it is needed
-    size, power, _ = set_up(columns, torque, work, np.inf)
+    size, power, _ = _equations(columns, torque, work, np.inf)
     if not _factor(work, n) or not _solve(work):
         return 0.0
     for k in range(p):
@@ -104,7 +99,7 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     smooth = max(_SMOOTH * np.sqrt(max(power, 0.0) / n), least, 1e-300)
     moved = error = 0.0
     for _ in range(2):
-        total, _, near = set_up(columns, torque, work, smooth)
+        total, _, near = _equations(columns, torque, work, smooth)
         error = max(0.5 * np.pi * total / n, _NEAR * smooth / max(near / n, _FEWEST)) / np.sqrt(n)
         if not _solve(work):
             return 0.0
@@ -119,51 +114,28 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     return float(max(_ERRORS * error + moved, least))
 
 
-@compiled_no_refcount
-def equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
-    """The normal equations of the residuals at the centre, each row weighted by one over its residual's size.
+def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
+    """Fill in the normal equations of the residuals at the centre, each row weighted by one over its residual's size.
 
-    smooth: the least size that counts, infinite for equal weights. Returns the sum of the sizes and of their squares,
-    and how many are small.
+    smooth: the least size that counts, infinite for equal weights. Returns the sum of the sizes, N m, that of their
+    squares, and how many are small.
     """
-    n, p = columns.shape
-    total = power = 0.0
-    near = 0
-    for k in range(p):
-        work.pull[k] = 0.0
-        for j in range(p):
-            work.gram[k, j] = 0.0
-    for i in range(n):
-        left = torque[i]
-        for k in range(p):
-            left -= columns[i, k] * work.centre[k]
-        size = abs(left)
-        total, power, near = total + size, power + size * size, near + (size <= _NEAR * smooth)
-        weight = 1.0 if smooth == np.inf else 1.0 / max(size, smooth)
-        for k in range(p):
-            weighted = weight * columns[i, k]
-            work.pull[k] += weighted * left
-            for j in range(k + 1):
-                work.gram[j, k] += weighted * columns[i, j]
-    return total, power, near
+    left = torque.copy()
+    for k, column in enumerate(columns.T):
+        left -= column * work.centre[k]
+    size = np.abs(left)
+    weight = np.ones(len(left)) if smooth == np.inf else 1.0 / np.maximum(size, smooth)
+    for k, column in enumerate(columns.T):
+        weighted = weight * column
+        work.pull[k] = _sum(weighted * left)
+        for j in range(k + 1):
+            work.gram[j, k] = _sum(weighted * columns[:, j])
+    return _sum(size), _sum(size * size), int(np.count_nonzero(size <= _NEAR * smooth))
 
 
-@compiled_no_refcount
-def two_equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
-    """Set up the equations for two columns, in registers: three times as fast."""
-    total = power = aa = ab = bb = ta = tb = 0.0
-    near = 0
-    for i in range(len(torque)):
-        a, b = columns[i, 0], columns[i, 1]
-        left = torque[i] - a * work.centre[0] - b * work.centre[1]
-        size = abs(left)
-        total, power, near = total + size, power + size * size, near + (size <= _NEAR * smooth)
-        weight = 1.0 if smooth == np.inf else 1.0 / max(size, smooth)
-        aa, ab, bb = aa + weight * a * a, ab + weight * a * b, bb + weight * b * b
-        ta, tb = ta + weight * left * a, tb + weight * left * b
-    work.gram[0, 0], work.gram[0, 1], work.gram[1, 1] = aa, ab, bb
-    work.pull[0], work.pull[1] = ta, tb
-    return total, power, near
+def _sum(terms: Vector) -> float:
+    """Return the sum of terms (n,), added one after another: the same to the last bit on every machine."""
+    return float(np.cumsum(terms)[-1])
 
 
 def _factor(work: _Work, count: int) -> bool:

@@ -19,6 +19,7 @@ Words: TypeAlias = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
 
 _11, _17, _19, _23, _32, _41, _45 = (np.uint64(shift) for shift in (11, 17, 19, 23, 32, 41, 45))
 _TO_UNIT = 2.0**-53
+_ALL = 2**64 - 1
 
 
 def seeded(seed: int, trial: int) -> State:
@@ -29,6 +30,24 @@ def seeded(seed: int, trial: int) -> State:
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give 0 or more")
     return np.random.SeedSequence(seed, spawn_key=(trial,)).generate_state(4, np.uint64).astype(np.uint64, copy=False)
+
+
+def uniforms(state: State, count: int) -> NDArray[np.float64]:
+    """Return numbers (count,) as `uniform` draws them, and take the state (4,) on; for a few of them, not compiled."""
+    a, b, c, d = state.tolist()
+    found = np.empty(count)
+    for i in range(count):
+        total = (a + d) & _ALL
+        found[i] = ((((total << 23 | total >> 41) + a) & _ALL) >> 11) * _TO_UNIT
+        shifted = b << 17 & _ALL
+        c ^= a
+        d ^= b
+        b ^= c
+        a ^= d
+        c ^= shifted
+        d = (d << 45 | d >> 19) & _ALL
+    state[:] = a, b, c, d
+    return found
 
 
 @compiled_within

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_no_refcount, compiled_within
-from ga.evolution.generator import State, load, store, uniform
-from ga.evolution.operators import REDRAWS, Genes, Order, clamp, copy, is_inside
+from ga.compiled import compiled_within
+from ga.evolution.generator import State, uniforms
+from ga.evolution.operators import REDRAWS, Genes, Order, copy
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
@@ -105,36 +105,22 @@ def recorded(record: Record, due: int, population: Population) -> int:
     return due
 
 
-@compiled_no_refcount
 def scatter(rules: Rules, population: Population) -> None:
     """The paper, "Initial Population": every gene uniform at random in its bounds."""
-    words = load(population.generator)
-    for i in range(population.fitness.size):
-        for k in range(rules.low.size):
-            part, words = uniform(words)
-            population.genes[i, k] = rules.low[k] + (rules.high[k] - rules.low[k]) * part
-    store(words, population.generator)
+    parts = uniforms(population.generator, population.genes.size).reshape(population.genes.shape)
+    population.genes[:] = rules.low + (rules.high - rules.low) * parts
 
 
-@compiled_no_refcount
 def scatter_around(rules: Rules, start: Start, population: Population) -> None:
     """Draw every chromosome uniformly in the start's cube, and within the bounds."""
-    words = load(population.generator)
-    for i in range(population.fitness.size):
-        child = population.genes[i]
+    for child in population.genes:
         for _ in range(REDRAWS):
+            place = start.reach * (2.0 * uniforms(population.generator, child.size) - 1.0)
             for k in range(child.size):
-                part, words = uniform(words)
-                child[k] = start.reach * (2.0 * part - 1.0)
-            for k in range(child.size):  # the matrix is triangular: what is overwritten is not needed again
-                along = 0.0
-                for j in range(k, child.size):
-                    along += start.backward[k, j] * child[j]
-                child[k] = start.centre[k] + along
-            if is_inside(child, rules.low, rules.high):
+                child[k] = start.centre[k] + float(np.cumsum(start.backward[k, k:] * place[k:])[-1])
+            if ((rules.low <= child) & (child <= rules.high)).all():
                 break
-        clamp(child, rules.low, rules.high)
-    store(words, population.generator)
+        np.clip(child, rules.low, rules.high, out=child)
 
 
 @compiled_within

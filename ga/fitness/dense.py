@@ -29,6 +29,9 @@ LANES = 128
 ROUNDING = 1e-11
 """How far beyond a limit, relative to its terms, a bound must be: a thousand times what rounding makes of both."""
 
+_AT_ONCE = LANES << 12
+"""Rows that are collapsed at once: their working space is some tens of MB."""
+
 WIDER = 1.5
 """Half-width of the cube that is collapsed over that of the cube begun in: children overshoot their parents."""
 
@@ -59,15 +62,10 @@ class Samples(NamedTuple):
 def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
     """The samples of columns (n, p) and torque (n,), N m. Raises ValueError as `check` does."""
     check(columns, torque)
-    count, p = columns.shape
-    rows = -(-count // LANES)
-    padded = np.zeros((p + 1, rows * LANES))
-    padded[0, :count] = torque
-    padded[1:, :count] = columns.T
-    blocks = np.ascontiguousarray(padded.reshape(p + 1, rows, LANES).transpose(1, 0, 2))
+    p = columns.shape[1]
     return Samples(
-        blocks=blocks,
-        length=count,
+        blocks=_blocks(columns, torque),
+        length=len(torque),
         floor=resolution(torque),
         scratch=np.empty((2, LANES)),
         place=np.empty(p),
@@ -84,15 +82,16 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
     """The samples of columns (n, p) and torque (n,), N m, collapsed around a start. Raises ValueError as `check`."""
     check(columns, torque)
     p, reach = columns.shape[1], WIDER * start.reach
-    open_rows, settled = np.empty(len(torque), np.int32), np.zeros(p + 1)
-    if p == 2:
-        count = settle_two(columns, torque, start.centre, start.backward, reach, open_rows, settled)
-    else:
-        count = settle_any(columns, torque, start.centre, start.backward, reach, open_rows, settled, np.zeros(p + 1))
-    blocks = np.zeros((-(-count // LANES), p + 1, LANES))
-    fill(columns, torque, start.centre, open_rows[:count], blocks)
+    blocks, settled = [], np.zeros(p + 1)
+    for begin in range(0, len(torque), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        residual, is_open = _opened(columns[part], torque[part], start, reach)
+        blocks.append((columns[part][is_open], residual[is_open]))
+        sign = np.where(is_open, 0.0, np.where(residual >= 0.0, 1.0, -1.0))
+        sums = _in_lanes(sign * np.vstack([residual, columns[part].T])).cumsum(axis=2)[:, :, -1]
+        settled = np.hstack([settled[:, None], sums]).cumsum(axis=1)[:, -1]
     return Samples(
-        blocks=blocks,
+        blocks=_blocks(np.vstack([one for one, _ in blocks]), np.hstack([one for _, one in blocks])),
         length=len(torque),
         floor=resolution(torque),
         scratch=np.empty((2, LANES)),
@@ -106,97 +105,36 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
     )
 
 
+def _opened(
+    columns: NDArray[np.float64], torque: NDArray[np.float64], start: Start, reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the residuals (n,) at the start, N m, and which of them may change sign within the cube."""
+    residual, speed = torque.copy(), np.zeros(len(torque))
+    for k in range(columns.shape[1]):
+        residual -= columns[:, k] * start.centre[k]
+        along = np.zeros(len(torque))
+        for j in range(k + 1):
+            along += columns[:, j] * start.backward[j, k]
+        speed += np.abs(along)
+    return residual, np.abs(residual) <= reach * speed * (1.0 + 1e-9)
+
+
+def _blocks(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the blocks of columns (m, p) and torque (m,), as `Samples` has them."""
+    return np.ascontiguousarray(_in_lanes(np.vstack([torque, columns.T])).transpose(1, 0, 2))
+
+
+def _in_lanes(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rows (k, m) cut into lanes, (k, ceil(m/128), 128), filled up with zeros."""
+    k, m = rows.shape
+    padded = np.zeros((k, -(-m // LANES) * LANES))
+    padded[:, :m] = rows
+    return padded.reshape(k, -1, LANES)
+
+
 def shared(samples: Samples) -> Samples:
     """Return the samples with working space of their own."""
     return samples._replace(scratch=np.empty_like(samples.scratch), place=np.empty_like(samples.place))
-
-
-@compiled_no_refcount
-def settle_any(  # noqa: PLR0917 - compiled functions take their parts by position
-    columns: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    backward: NDArray[np.float64],
-    reach: float,
-    open_rows: NDArray[np.int32],
-    settled: NDArray[np.float64],
-    part: NDArray[np.float64],
-) -> int:
-    """List the rows that may change sign in the cube and sum up the others; returns how many were listed.
-
-    part: (p + 1,) of zeros, working space.
-    """
-    n, p = columns.shape
-    count = 0
-    for i in range(n):
-        residual, speed = torque[i], 0.0
-        for k in range(p):
-            residual -= columns[i, k] * origin[k]
-            along = 0.0
-            for j in range(k + 1):
-                along += columns[i, j] * backward[j, k]
-            speed += abs(along)
-        if abs(residual) <= reach * speed * (1.0 + 1e-9):
-            open_rows[count] = i
-            count += 1
-        else:
-            sign = 1.0 if residual >= 0.0 else -1.0
-            part[0] += abs(residual)
-            for k in range(p):
-                part[k + 1] += sign * columns[i, k]
-        if i % LANES == LANES - 1 or i == n - 1:  # sums of sums: a million terms one by one would lose digits
-            for k in range(p + 1):
-                settled[k] += part[k]
-                part[k] = 0.0
-    return count
-
-
-@compiled_no_refcount
-def settle_two(  # noqa: PLR0917 - compiled functions take their parts by position
-    columns: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    backward: NDArray[np.float64],
-    reach: float,
-    open_rows: NDArray[np.int32],
-    settled: NDArray[np.float64],
-) -> int:
-    """Compute it for two columns, in registers: four times as fast."""
-    count, wide = 0, reach * (1.0 + 1e-9)
-    for begin in range(0, len(torque), LANES):
-        sizes = firsts = seconds = 0.0
-        for i in range(begin, min(begin + LANES, len(torque))):
-            a, b = columns[i, 0], columns[i, 1]
-            residual = torque[i] - a * origin[0] - b * origin[1]
-            size = abs(residual)
-            if size <= wide * (abs(a * backward[0, 0]) + abs(a * backward[0, 1] + b * backward[1, 1])):
-                open_rows[count] = i
-                count += 1
-            else:
-                sizes += size
-                firsts += a if residual >= 0.0 else -a
-                seconds += b if residual >= 0.0 else -b
-        settled[0] += sizes
-        settled[1] += firsts
-        settled[2] += seconds
-    return count
-
-
-@compiled_no_refcount
-def fill(
-    columns: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    origin: NDArray[np.float64],
-    rows: NDArray[np.int32],
-    blocks: NDArray[np.float64],
-) -> None:
-    """Put the rows side by side, in blocks, with their residuals at the origin."""
-    for i in range(rows.size):
-        residual = torque[rows[i]]
-        for k in range(origin.size):
-            residual -= columns[rows[i], k] * origin[k]
-            blocks[i // LANES, k + 1, i % LANES] = columns[rows[i], k]
-        blocks[i // LANES, 0, i % LANES] = residual
 
 
 @compiled_within
@@ -245,7 +183,7 @@ def _settled(samples: Samples) -> float:
     return error
 
 
-@compiled_no_refcount
+@compiled_within
 def _folded(total: NDArray[np.float64]) -> float:
     """The sum of 128 numbers, which it overwrites."""
     width = LANES // 2

@@ -15,6 +15,7 @@ from hil.cli.terminal import UNTRUSTWORTHY, detail, out
 
 def demo(output: options.Folder = Path("hil-demo")) -> None:
     """Run the main job on the simulated servo: record a chirp, identify, write the report, compare with the truth."""
+    detail("1 of 3: recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint; the first run compiles it first ...")
     from hil.api.analysis import identify
     from hil.api.recordings import load
     from hil.recording.output import check_output, next_free
@@ -23,11 +24,11 @@ def demo(output: options.Folder = Path("hil-demo")) -> None:
     path = next_free(output)
     page = path.with_suffix(".html")
     check_output(page, force=False)
-    detail("Recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint ...")
     record(backend="sim", note="hil demo", output=path)
-    detail("Identifying ...")
+    detail("2 of 3: identifying stiffness and damping ...")
     with progress() as show:
         found = identify(path, progress=show)
+    detail("3 of 3: writing the report ...")
     publish(found, page)
     for line in truth_lines(found.identification, load(path).truth):
         out(line)

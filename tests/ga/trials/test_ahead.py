@@ -7,19 +7,16 @@ import numpy as np
 from ga.bounds import bounds_from_data
 from ga.evolution.evolution import PRESETS
 from ga.evolution.generational import generational
-from ga.evolution.population import scatter_around
-from ga.fitness.dense import fill, settle_any
 from ga.fitness.engine import errors_of
 from ga.model.memory import lag_behind, slide_along
 from ga.model.trajectory import Motion
-from ga.start import equations
 from ga.trials.ahead import compile_search, compile_states, is_worthwhile
 from ga.trials.trials import run_trials
 
 if TYPE_CHECKING:
     from tests.ga.conftest import Making
 
-KERNELS: tuple[Any, ...] = (generational, errors_of, scatter_around, settle_any, fill, equations)
+KERNELS: tuple[Any, ...] = (generational, errors_of)
 
 
 def signatures() -> set[tuple[str, str]]:
