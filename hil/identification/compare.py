@@ -1,4 +1,4 @@
-"""Compare several recordings of one joint: whether Kc and Bc repeat or drift, and how far one recording is off."""
+"""Compare several recordings of one joint: whether Kc and Bc repeat or drift, and whether one recording differs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
 COMPARED = ("Kc", "Bc")
-"""The parameters that are compared: those of the coupling. Other terms belong to the stand."""
+"""The parameters that are compared: Kc and Bc of the coupling. Other terms belong to the stand."""
 
 _CHANCE = 0.05
 _SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
@@ -31,12 +31,13 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The result of one recording. created: UTC, None if unknown. hours: since the first recording.
+    """The result of one recording.
 
-    estimates: those of COMPARED, by name; {} if the recording could not be used. identifiable: the names of the
-    parameters that it identifies. model: the fitted model. torque_uncertainty: of the torque's scale, relative, one
-    standard deviation: it widens the intervals of all recordings of a stand in common, and cancels in their
-    differences.
+    created: when it was recorded, UTC; None if unknown. hours: time since the first recording, h. estimates: the
+    estimates of the parameters in COMPARED, by name; {} if the recording could not be used. identifiable: the names of
+    the parameters that the recording identifies. model: the fitted model. torque_uncertainty: relative standard
+    uncertainty of the torque's scale. This uncertainty widens the intervals of all recordings of a stand in common, and
+    cancels in their differences.
     """
 
     path: Path
@@ -52,10 +53,10 @@ class Measured:
 class Repeated:
     """One parameter over all recordings that identify it.
 
-    pooled: None for fewer than two recordings. It includes the torque's uncertainty in its error and interval, not in
-    its variance components. drift: per hour, in the parameter's unit; None for fewer than three recordings. repeats:
-    whether the errors of the single recordings explain all differences; None if that cannot be decided. verdict: a
-    sentence or two.
+    pooled: the common value and the variance components; None for fewer than two recordings. Its error and interval
+    include the torque's uncertainty, its variance components do not. drift: the change per hour, in the parameter's
+    unit; None for fewer than three recordings. repeats: whether the errors of the single recordings explain all
+    differences; None if that cannot be decided. verdict: a sentence or two for the user.
     """
 
     name: str
@@ -69,7 +70,7 @@ class Repeated:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The result of `hil compare`."""
+    """The result of `hil compare`: the result of each recording, Kc and Bc over all of them, and the diagnostics."""
 
     model: str
     recordings: tuple[Measured, ...]
@@ -89,12 +90,12 @@ def compare(
     progress: Progress | None = None,
     cluster: str | None = None,
 ) -> Comparison:
-    """Identify `model` in each recording separately, and split the variance into that within and that between
-    recordings.
+    """Identify `model` in each recording separately, and split the variance of Kc and Bc into that within and that
+    between recordings.
 
-    progress is called with the fraction done. cluster: see `identify_each`. A recording that cannot be used is left out
-    with a warning. Raises WrongUse for fewer than two recordings, different stands, the same run twice, or a model
-    without Kc and Bc.
+    progress: a function that is called with the fraction done. cluster: see `identify_each`. A recording that cannot be
+    used is left out with a warning. Raises WrongUse for fewer than two recordings, different stands, the same run
+    twice, or a model without Kc and Bc.
     """
     if len(paths) < 2:
         raise WrongUse("a comparison needs at least two recordings")
@@ -138,7 +139,9 @@ def _name(model: Coupling | None) -> str:
 
 
 def _origin(source: Source) -> tuple[datetime | None, bool]:
-    """Return when a recording was made, None if unknown, and whether it was imported, at a later time."""
+    """Return when a recording was made (None if unknown), and whether the file was imported from another format at a
+    later time.
+    """
     if source.recording.imported:
         return None, True
     try:
@@ -204,7 +207,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
 
 
 def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
-    """The pooled value with the uncertainty of the torque's scale in its error and interval."""
+    """Return the pooled value, its error and interval widened by the uncertainty of the torque's scale."""
     scale = uncertainty * abs(pooled.value)
     half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _SCALE_NORMAL * scale)
     error = math.hypot(pooled.standard_error, scale)

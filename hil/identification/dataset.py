@@ -25,18 +25,19 @@ Choose = Callable[[Signals, bool], Choice]
 """A function that returns the model for signals; its second argument says whether these are all signals."""
 
 IN_MEMORY = 4_000_000
-"""Rows of all recordings together, up to which the signals are held in memory."""
+"""The largest number of rows, all recordings together, for which the signals are held in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dataset:
-    """The pooled recordings.
+    """The pooled recordings and the model that is fitted to them.
 
-    choice: the model, anchored to them, and why it was chosen. signals: all signals, or pieces of them if they do not
-    fit in memory; whole: whether they are all. used (n,): which of these samples are fitted. blocks: columns of the
-    linear parameters, and torque, of all fitted samples; in_memory: of those in `signals`. edges: the row at which each
-    recording ends in the blocks. uncertainty: of the torque's scale, relative, one standard deviation. place: the
-    deflection at which the joint is unloaded, from which the deflections of the signals count.
+    choice: the model, anchored to the recordings, and why it was chosen. signals: all signals, or pieces of them if
+    they do not fit in memory. whole: whether `signals` are all signals. used (n,): which samples of `signals` are
+    fitted. blocks: columns of the linear parameters, and torque, of all fitted samples. in_memory: the same for the
+    samples in `signals`. edges: the row of the blocks at which each recording ends. uncertainty: relative standard
+    uncertainty of the torque's scale. place: the deflection at which the joint is unloaded, from which the deflections
+    of the signals count.
     """
 
     choice: Choice
@@ -62,9 +63,9 @@ def open_dataset(
 ) -> Iterator[Dataset]:
     """Pool the recordings, with the model that `choose` returns.
 
-    progress is called at every pass through recordings that do not fit in memory. rest: the function that finds the
-    unloaded place, from which deflections count. Raises WrongUse, Untrustworthy as `Source.verify`, reading and
-    `prepare`.
+    progress: a function that is called at every pass through recordings that do not fit in memory. rest: a function
+    that finds the unloaded deflection, from which deflections count. Raises WrongUse and Untrustworthy like
+    `Source.verify`, the reading of a file and `prepare`.
     """
     for source in sources:
         source.verify(progress)
@@ -155,7 +156,7 @@ def _to_disk(
 
 
 def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
-    """Return columns (m, p) and torque (m,) of the samples that are used, with the nonlinear parameters at zero."""
+    """Return columns (m, p) and torque (m,) of the samples in `used`, with the nonlinear parameters at zero."""
     model, motion = choice.model, signals.motion
     columns, target = model.columns(motion), model.target(motion, signals.torque)
     kept = slice(None) if used.all() else used  # mostly all are: nothing need be copied

@@ -23,9 +23,11 @@ _ROWS = 1 << 18  # rows read at a time
 
 
 class DiskTable:
-    """Rows of columns and torque, SI, in an unnamed file in the folder of `beside`, deleted when closed.
+    """A table of rows of columns and torque, SI, in an unnamed file in the folder of `beside`; closing deletes the
+    file.
 
-    progress is called during each pass. Raises WrongUse if the disk has no room for `rows` rows of `width` columns.
+    progress: a function that is called during each pass. Raises WrongUse if the disk has no room for `rows` rows of
+    `width` columns.
     """
 
     def __init__(self, beside: Path, rows: int, width: int, progress: Progress | None = None) -> None:
@@ -58,7 +60,7 @@ class DiskTable:
 
     @property
     def blocks(self) -> Blocks:
-        """The rows written so far, in order."""
+        """Return the rows written so far, in order."""
         return Blocks(self.rows, self._read)
 
     def _read(self) -> Iterable[Block]:

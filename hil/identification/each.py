@@ -1,6 +1,4 @@
-"""Identify several recordings separately, in this process or spread over processes and computers, with equal
-results.
-"""
+"""Identify several recordings separately, in this process or in many processes and computers, with equal results."""
 
 from __future__ import annotations
 
@@ -27,10 +25,10 @@ _FEWEST = 3  # tasks that are spread
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One identification: recordings to pool, the model (None: model selection), and the empty rig's recording
-    (fixture).
+    """One identification to be done.
 
-    folder: the folder that relative paths start from, on every computer.
+    recordings: the recordings to pool. model: the model to fit; None for model selection. search: the settings of the
+    search. fixture: the empty rig's recording. folder: the folder that relative paths start from, on every computer.
     """
 
     recordings: tuple[Path, ...]
@@ -66,9 +64,9 @@ def identified(task: Task, progress: Progress | None = None) -> Result:
 def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: Progress | None = None) -> list[Result]:
     """Return the result of each task, in the order of the tasks.
 
-    The search of the first task says how many may run at a time. cluster: the address of a Dask scheduler, or "local".
-    None: processes of this computer, which are started if the remaining tasks take long enough, as estimated while the
-    first one runs. Raises WrongUse.
+    The first task's setting `workers` limits how many tasks run at a time. cluster: the address of a Dask scheduler, or
+    "local". None: processes of this computer, which are started if the remaining tasks take long enough, as estimated
+    while the first task runs. Raises WrongUse.
     """
     if not tasks:
         return []
@@ -92,7 +90,10 @@ def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: P
 def _spread(
     tasks: Sequence[Task], alone: Sequence[Task], progress: Progress | None, on_done: Callable[[int], None]
 ) -> list[Result]:
-    """Run the tasks here and in other processes. alone: the same tasks with one core each."""
+    """Run the tasks in this process and in others.
+
+    alone: the same tasks with one core each. on_done: a function that is called when a task is done.
+    """
     workers, count, began = tasks[0].search.workers, len(tasks), time.perf_counter()
     delay = _WORTH / (count - 1)
 
@@ -104,8 +105,8 @@ def _spread(
 
 
 def _whole(task: Task, progress: Progress | None = None) -> Result:
-    """Return the result of a task. Raises KeyboardInterrupt if Ctrl-C ended its search, so that the other tasks end
-    too.
+    """Return the result of a task. Raises KeyboardInterrupt if Ctrl-C ended the task's search, so that the other tasks
+    end too.
     """
     found = identified(task, progress)
     if isinstance(found, Identification) and found.trials.interrupted:

@@ -1,4 +1,6 @@
-"""What a fit and its recording say about each parameter: value, interval, bounds, and whether it is identifiable."""
+"""Evidence about each parameter from a fit and its recording: value, interval, bounds, and whether it is
+identifiable.
+"""
 
 from __future__ import annotations
 
@@ -33,15 +35,15 @@ Array = NDArray[np.float64]
 
 UNLOADED_PLACE = "unloaded place"
 DEFLECTION = "deflection"
-"""What the Kc of a spring that curves depends on, if it is not known where the joint is unloaded."""
+"""The quantity on which the Kc of a spring that curves depends, if the unloaded deflection is not known."""
 
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
 _MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
 Span = tuple[float, float, str]
-"""The smallest and the largest Kc, N m/rad, of a model that has no single one, and what Kc depends on ("": only on
-errors).
+"""The smallest and the largest Kc, N m/rad, of a model without a single Kc, and the quantity on which Kc depends ("":
+Kc varies only by errors).
 """
 
 
@@ -49,13 +51,15 @@ errors).
 class Evidence:
     """The facts from which identifiability is derived.
 
-    reference: the encoder reading, rad, that the deflections count from. columns (m, p + q): of the signals. values,
-    low, high (p + q,): of all parameters, SI. exact: values and half intervals for the selected model, where `values`
-    and `errors` are averaged over models. scattered: the variance components of pooled recordings. unbounded: the
-    values without sign constraints, and their half intervals; None if they are the same. gap: the optimiser's,
-    relative. deflection: what errors of the deflection do to the values; None if the rate was recorded too. unmoved:
-    why nothing moved, "" if it did. selected: whether the model was selected, and not named. span: the range of Kc, if
-    a selected model has no single one and the motion covered the range, or if the unloaded place is unknown.
+    reference: the encoder reading, rad, that the deflections count from. columns (m, p + q): the linearised problem at
+    the samples of `signals`. values, low, high (p + q,): values and bounds of all parameters, SI. errors: the
+    confidence intervals. exact: values and half intervals of the selected model alone, where `values` and `errors` are
+    averaged over models. scattered: the variance components of pooled recordings. unbounded: the values without sign
+    constraints, and their half intervals; None if no constraint acts. gap: the optimiser gap, relative. deflection: the
+    effect of errors of the deflection on the values; None if the rate was recorded too. unmoved: the reason why nothing
+    moved, "" if the joint moved. selected: whether the model was selected, and not named by the user. span: the range
+    of Kc, if a selected model has no single Kc and the motion covered the range, or if the unloaded deflection is
+    unknown.
     """
 
     model: Coupling
@@ -89,7 +93,9 @@ class Evidence:
 
     @property
     def zeros(self) -> Array:
-        """Return the encoder reading that each parameter (p + q,) counts from if it is a place; 0 for all others."""
+        """Return the zero of each parameter (p + q,): the encoder reading that a parameter counts from if it is a
+        deflection, else 0.
+        """
         return np.array([self.reference if parameter.place else 0.0 for parameter in self.parameters])
 
     @property
@@ -110,7 +116,7 @@ class Evidence:
         return found
 
     def _known_beside_its_term(self, at: int) -> bool:
-        """Return whether a parameter that resembles only a parameter of its own term is known within its interval.
+        """Return whether a parameter has a narrow interval although it resembles another parameter of its own term.
 
         Two such parameters together describe the shape of one law, as the rise and the exponent of an exponential
         stiffness do.
@@ -126,19 +132,19 @@ class Evidence:
 
     @property
     def friction_likeness(self) -> float:
-        """Return the fraction of a damping torque that dry friction would explain; 0 if the model has friction.
+        """Return the fraction of a damping torque that dry friction would explain.
 
-        0 for a user's own model, which may contain friction under any name.
+        0 if the model has friction, and for a user's own model, which may contain friction under any name.
         """
         return 0.0 if self.has_friction or not self.model.linear else friction_likeness(self.signals.motion.dtheta_dot)
 
     def is_zero(self, at: int) -> bool:
-        """Return whether physics allows no negative value of the parameter and its bounds include zero."""
+        """Return whether the parameter cannot be negative for physical reasons, and its bounds include zero."""
         return self.parameters[at].positive and bool(self.low[at] <= 0.0)
 
     def contradicted(self, at: int) -> float | None:
-        """Return the negative value that the data give to a parameter that cannot be negative; None if they allow
-        zero.
+        """Return the negative value that the data give to a parameter that cannot be negative; None if the data agree
+        with zero.
         """
         if self.unbounded is None or not self.parameters[at].positive:
             return None
@@ -146,7 +152,9 @@ class Evidence:
         return value if value + half < 0.0 else None
 
     def at_bound(self, at: int) -> str | None:
-        """Return which end of its bounds the exact optimum reaches; None for neither."""
+        """Return the end of its bounds, "low" or "high", that the exact optimum of a parameter reaches; None for
+        neither.
+        """
         value, half = (float(of[at]) for of in self.exact)
         near = min(_MARGIN * (self.high[at] - self.low[at]), half)
         if value <= self.low[at] + near:
@@ -155,10 +163,11 @@ class Evidence:
 
 
 def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float, float] | None:
-    """Return by how much Kc is higher before friction slides, N m/rad, and up to which deflection, rad; None if it is
-    not.
+    """Return the stiffness, N m/rad, that friction adds to Kc before it slides, and the deflection, rad, up to which it
+    does.
 
-    values: of a model, SI, by name. deflected: the deflection, rad, at whose torque proportional friction is taken.
+    None if friction adds no stiffness. values: parameters of a model, SI, by name. deflected: the deflection, rad, at
+    whose torque proportional friction is computed.
     """
     length = values.get("reach", values.get("yield", 0.0))
     force = values.get("Fd", values.get("Fy", 0.0)) + values.get("mu", 0.0) * values.get("Kc", 0.0) * deflected
@@ -166,11 +175,12 @@ def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float,
 
 
 def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False) -> Span | None:
-    """Return the smallest and the largest Kc, N m/rad, of a model without a single one, and what it depends on.
+    """Return the smallest and the largest Kc, N m/rad, of a model without a single Kc, and the quantity on which Kc
+    depends.
 
-    None for a single Kc, and for two that are close, where Kc is their mean. Friction in proportion to the torque is
-    not counted as a stiffness. values: see `sliding`. sliding_only: whether the stiffness before friction slides is
-    ignored.
+    None for a single Kc, and for two values of Kc that are close: Kc is then their mean. Friction in proportion to the
+    torque does not count as a stiffness. values: see `sliding`. sliding_only: whether the stiffness before friction
+    slides is ignored.
     """
     before = None if "mu" in values else sliding(values)
     kc, half = values.get("Kc", 0.0), abs(values.get("Ka", 0.0))
@@ -182,21 +192,22 @@ def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False
 
 
 def span_met(motion: Motion, names: Sequence[str], values: Array, half_width: Array) -> Span | None:
-    """Return `span_of_stiffness` of values (p + q,), SI, limited to what the motion meets.
+    """Return `span_of_stiffness` of values (p + q,), SI, limited to the deflections that the motion reaches.
 
-    half_width (p + q,): the half intervals of the values. Stiffness before friction slides counts if it moves Kc out of
-    its interval.
+    half_width (p + q,): the half intervals of the values. The stiffness before friction slides is included only if it
+    changes Kc by more than the interval of Kc.
     """
     given = dict(zip(names, values.tolist(), strict=True))
     return span_of_stiffness(given, sliding_only=_slides(motion, given, float(half_width[names.index("Kc")])))
 
 
 def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> bool:
-    """Return whether friction slides in nearly all of a motion: sticking changes Kc by less than half of its interval.
+    """Return whether friction slides in nearly all of a motion, so that sticking changes Kc by less than half of its
+    interval.
 
-    values: see `sliding`; half_width: N m/rad. The stiffening is the slope, over the deflection between two reversals,
-    of friction that builds up as -1 + 2 (1 - exp(-x/reach)); it is small where the joint travels many times `reach`.
-    The travel is that of a sine with the same standard deviation.
+    values: see `sliding`. half_width: the half interval of Kc, N m/rad. The stiffening is the slope, over the
+    deflection between two reversals, of friction that builds up as -1 + 2 (1 - exp(-x/reach)); it is small if the joint
+    travels many times `reach`. The travel is that of a sine with the same standard deviation.
     """
     before = sliding(values)
     if before is None:
@@ -208,7 +219,9 @@ def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> b
 
 
 def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
-    """Return the estimates of all parameters in the model's order; places count from the encoder's zero."""
+    """Return the estimates of all parameters in the model's order; parameters that are deflections count from the
+    encoder's zero.
+    """
     found, span, trials = [], evidence.span, evidence.trials
     for at, (parameter, zero) in enumerate(zip(evidence.parameters, evidence.zeros.tolist(), strict=True)):
         value, half = zero + float(evidence.values[at]), float(evidence.errors.half_width[at])
@@ -237,10 +250,10 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
 
 
 def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Estimate, ...]:
-    """Return the estimates, with the intervals of Kc and Bc widened by what the model lacks.
+    """Return the estimates, with the intervals of Kc and Bc widened by the size of the model's misfit.
 
-    A parameter whose interval becomes too wide is not identifiable, unless the misfit is already an error that states
-    its size.
+    A parameter whose interval becomes too wide is not identifiable, unless another error already states the size of the
+    misfit.
     """
     sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
     lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
@@ -249,10 +262,11 @@ def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Est
 
 
 def _wider(one: Estimate, lack: float, *, is_said: bool) -> Estimate:
-    """Return the estimate with its interval widened by a misfit, in the parameter's unit.
+    """Return the estimate with its interval widened by a misfit.
 
-    Differences between pooled recordings also fail the lack-of-fit tests, and the interval already includes them: the
-    larger of the two widenings is used.
+    lack: the size of the misfit, in the parameter's unit. is_said: whether an error already states that size.
+    Differences between pooled recordings also fail the lack-of-fit tests, and the interval already includes them: only
+    the larger of the two widenings is used.
     """
     half = one.half_width
     more = lack if one.components is None else max(0.0, lack - half)

@@ -1,4 +1,4 @@
-"""Kc and Bc of the joint alone: the compliance of its fixture, known from an empty-rig recording, is removed."""
+"""Find Kc and Bc of the joint alone: the compliance of its fixture, known from an empty-rig recording, is removed."""
 
 from __future__ import annotations
 
@@ -107,15 +107,15 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
 
 
 def _explained(found: Identification) -> list[Diagnostic]:
-    """Return the diagnostics without a misfit that the fixture, in series with the joint, explains."""
+    """Return the diagnostics, without a misfit that is explained by the fixture in series with the joint."""
     test = found.lack_of_fit
     series = test is not None and "viscoelastic" in {one.effect.code for one in test.suspects}
     return [one for one in found.diagnostics if not (series and one.code == "misfit")]
 
 
 def _of_fixture(fixture: Identification) -> list[Diagnostic]:
-    """Return the diagnostics of the fixture; damping that is not identifiable is no error, as the intervals include
-    it.
+    """Return the diagnostics of the fixture. A damping that is not identifiable is no error, because the intervals
+    include it.
     """
     return [
         Diagnostic(

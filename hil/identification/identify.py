@@ -1,4 +1,6 @@
-"""From recordings to Kc and Bc: signals, model, genetic search, exact optimum, confidence intervals, diagnostics."""
+"""Identify Kc and Bc from recordings: signals, model, genetic search, exact optimum, confidence intervals,
+diagnostics.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,7 @@ _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable mo
 def identify(
     paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Fit a model to the pooled recordings. model None: the model that model selection chooses.
+    """Fit a model to the pooled recordings. model: None for the model that model selection chooses.
 
     Ctrl-C during the search ends only the search: the result so far is returned, with its trials marked as interrupted.
     Raises WrongUse, and Untrustworthy if the recordings cannot be used at all; lesser doubts are in the diagnostics.
@@ -64,7 +66,7 @@ def identify(
 def identify_sources(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Do what `identify` does with open recordings, on one core: several cores would change the last digit."""
+    """Do the same as `identify` with open recordings, on one core: several cores would change the last digit."""
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         return _identified(sources, model, search, progress)
 
@@ -132,7 +134,7 @@ def _identified(
 
 
 def _evidence(data: Dataset, solution: Solution) -> Evidence:
-    """Return what the result is judged by: intervals, validation and optimiser gap."""
+    """Return the facts that the result's identifiability is derived from: intervals, validation and optimiser gap."""
     parameters = (*data.choice.model.linear, *data.choice.model.nonlinear)
     sampling = confidence_intervals(solution.blocks, solution.values)
     pooled, components = pooled_intervals(solution.blocks, data.edges, sampling)
@@ -175,8 +177,8 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
 
 
 def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
-    """Return the relative uncertainty (p,) of the scale of each parameter: that of the torque and, for Bc, of the
-    rate.
+    """Return the relative uncertainty (p,) of the parameters due to scales: the torque's scale and, for Bc, the
+    rate's.
     """
     torque = np.array([data.uncertainty if parameter.scales else 0.0 for parameter in parameters])
     rate = np.array([RATE_ACCURACY if parameter.name == "Bc" else 0.0 for parameter in parameters])
@@ -203,7 +205,9 @@ def _averaged(
 
 
 def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ: bool) -> Described:
-    """Return the signals and the fit to be tested; differ: whether the recordings differ from each other."""
+    """Return the signals and the fit for the lack-of-fit tests. differ: whether the recordings differ from each
+    other.
+    """
     columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(
         model=data.choice.model,
@@ -219,7 +223,7 @@ def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ:
 
 
 def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Solution) -> tuple[Step, ...]:
-    """Return the steps of model selection, with the values of the result in the last included one.
+    """Return the steps of model selection, with the final values in the last included step.
 
     Model selection also uses samples in which the joint may stick, and only a part of a recording that does not fit in
     memory, so its own values differ in the last digits.
@@ -232,7 +236,9 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Sol
 
 
 def _stationarity(data: Dataset, solution: Solution) -> list[Diagnostic]:
-    """Return the diagnostics of Kc over each recording; [] if the samples would have to be read from disk again."""
+    """Return the diagnostics of Kc over each recording; [] if the samples are on disk and would have to be read
+    again.
+    """
     names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
     return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 

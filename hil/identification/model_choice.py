@@ -1,4 +1,4 @@
-"""The model that is fitted to a recording: a named one, a user's own, or the one that model selection finds."""
+"""Choose the model that is fitted to a recording: a named one, a user's own, or the one that model selection finds."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Coupling(SeparableModel, Protocol):
 class Choice:
     """The model, anchored to the data, with the steps of its selection (none if it was named) and the alternatives.
 
-    sticking: whether friction holds the joint in slow samples, so that the model does not describe these. delay: how
-    much older the torque reading is than the angle's, s; it decides which samples are slow.
+    sticking: whether friction holds the joint in slow samples; the model does not describe these samples. delay: the
+    age of the torque reading less that of the angle, s; the delay decides which samples are slow.
     """
 
     model: Coupling
@@ -69,10 +69,10 @@ class Choice:
 
 
 def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Choice:
-    """Return the model for the signals; None: by model selection.
+    """Return the model for the signals. model: the model that the user named; None for model selection.
 
     linear_only: allow only models that are linear in their parameters, as the `paper` preset and recordings that do not
-    fit in memory need. Raises WrongUse for another model, Untrustworthy if no model can be fitted.
+    fit in memory need. Raises WrongUse for a model that is not allowed, Untrustworthy if no model can be fitted.
     """
     if model is not None and linear_only and model.nonlinear:
         raise WrongUse(
@@ -102,9 +102,9 @@ def _named(model: Coupling, signals: Signals) -> Choice:
 
 
 def _selected(signals: Signals, *, linear_only: bool) -> Choice:
-    """Return the selected model; if friction holds the joint, selected again without the samples in which it does.
+    """Return the selected model. If friction holds the joint in some samples, the selection is repeated without them.
 
-    If torque or angle has the wrong sign no model is right, and the smallest one shows it.
+    If torque or angle has the wrong sign, no model is right, and the smallest model is enough to show the wrong sign.
     """
     if negative_stiffness(signals.motion, signals.torque) is not None:
         return _named(parse("linear+offset"), signals)
@@ -143,10 +143,11 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
 def _turning_smoothly(
     sticking: Selection, signals: Signals, seen: NDArray[np.bool_], considered: _Considered
 ) -> Selection | None:
-    """Return the model with smoothly reversing friction, if it describes the samples that seemed to be held by
-    friction.
+    """Return the model with smoothly reversing friction, if it describes the samples in which friction seemed to hold
+    the joint.
 
-    These samples are needed: without them such friction is hardly distinguishable from friction that reverses at once.
+    The selection needs these samples: without them such friction is hardly distinguishable from friction that reverses
+    at once.
     """
     if SMOOTH.name not in considered.rarer:
         return None
@@ -179,7 +180,7 @@ class _Considered:
     accounts: tuple[str, ...]
 
     def with_usual(self, term: str) -> _Considered:
-        """Return the same with a rare term among the common ones."""
+        """Return the terms to consider, with one rare term added to the common ones."""
         return replace(self, terms=(*self.terms, term), rarer=tuple(one for one in self.rarer if one != term))
 
 
@@ -189,7 +190,7 @@ def _select(
     considered: _Considered,
     sticks: Callable[[Selection], bool] = lambda _selection: False,
 ) -> Selection:
-    """Return the model selected from the samples seen (n,); sticks: see `stepwise.select`."""
+    """Return the model selected from the samples in `seen` (n,). sticks: see `stepwise.select`."""
     return stepwise.select(
         _seen(signals.motion, seen),
         signals.torque[seen],
@@ -204,7 +205,9 @@ def _select(
 
 
 def _moving(found: Selection, motion: Motion) -> NDArray[np.bool_]:
-    """Return in which samples (n,) friction does not hold the joint, if the model fits the others worse."""
+    """Return the samples (n,) in which friction does not hold the joint; all samples if the model fits them all equally
+    well.
+    """
     if _is_sticking(found.model, motion, found.delay, found.residuals):
         return found.model.described(motion, found.delay)
     return np.ones(len(motion), dtype=bool)
@@ -215,11 +218,11 @@ def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
 
 
 def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, averaged: bool) -> bool:
-    """Return whether the model selected from the samples seen (n,) passes the lack-of-fit tests, however small its
+    """Return whether the model selected from the samples in `seen` (n,) passes the lack-of-fit tests, however small its
     misfit.
 
-    averaged: whether it may lack the small effects that every bench has, and whether a test that proves nothing is
-    enough. Noise of the deflection is not counted as a missing term: rare terms would be selected to explain it.
+    averaged: whether the model may lack the small effects that every bench has, and whether tests that decide nothing
+    are enough. Noise of the deflection is not treated as a missing term: rare terms would be selected to explain it.
     """
     fitted = _moving(found, _seen(signals.motion, seen))
     kept = seen.copy()
@@ -243,19 +246,19 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, a
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:
-    """Return whether the samples in which friction may hold the joint fit worse than the others, in all or in one
-    decade.
+    """Return whether the model fits the samples in which friction may hold the joint worse than the others.
 
-    During a long rest nothing moves, and its many samples may fit well while those at its beginning do not.
+    All such samples are compared, and also those of each decade of the rate: during a long rest nothing moves, and the
+    many samples of the rest may fit well while those at its beginning do not.
     """
     return _are_worse(~model.described(motion, delay), motion, residuals)
 
 
 def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little: float = 0.0) -> bool:
-    """Return whether the slow samples (n,) of a motion fit worse than the others, all or those of one decade of the
-    rate.
+    """Return whether the slow samples (n,) of a motion fit worse than the others, either all slow samples or those of
+    one decade of the rate.
 
-    little: an error, N m, that is too small to count.
+    little: an error, N m, that is small enough to be ignored.
     """
     described = ~slow
     if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to

@@ -1,4 +1,4 @@
-"""The paper's experiment from end to end on the simulated stand: 2,500 samples, 30 trials, Table 1 and Figure 8."""
+"""Replicate the paper's experiment on the simulated stand: 2,500 samples, 30 trials, Table 1 and Figure 8."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from hil.stand.file import SIMULATED, parse
 
 SAMPLES, RATE = 2500, 500.0
 PAPER = {"Kc": (17.52e-3, 6.62e-3), "Bc": (0.19e-3, 0.075e-3)}
-"""Mean and standard deviation over the paper's 30 trials, SI (its Table 1)."""
+"""Mean and standard deviation of each parameter over the paper's 30 trials, SI (Table 1 of the paper)."""
 
 _MEASURE = 0.5  # s over which the NumPy expression is timed
 
 
 @dataclass(frozen=True, slots=True)
 class Replication:
-    """The result. truth: of the simulated stand, SI. numpy_seconds: time of one evaluation with NumPy on the same
-    data.
+    """The result of the replication. truth: the parameters of the simulated stand, SI. numpy_seconds: the time of one
+    fitness evaluation with NumPy on the same data.
     """
 
     identification: Identification
@@ -43,14 +43,16 @@ class Replication:
 
     @property
     def evaluations_per_second(self) -> float:
-        """Return the fitness evaluations a second, all cores together, of the run that ended here."""
+        """Return the fitness evaluations per second, all cores together, without the part of a resumed search that ran
+        earlier.
+        """
         return self.identification.trials.made / self.identification.search_seconds
 
     @property
     def ratio_to_numpy(self) -> float:
         """Return how many times faster one evaluation is, on one core, than the NumPy expression in the same process.
 
-        Both are processor times, so other work on the machine does not count.
+        Both times are processor times, so other work on the machine does not matter.
         """
         trials = self.identification.trials
         return self.numpy_seconds * trials.made / trials.processor_seconds
@@ -66,10 +68,11 @@ def replicate(
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> Replication:
-    """Record the paper's 2,500 samples into `folder` and search them as the paper did.
+    """Record the paper's 2,500 samples into `folder` and search the parameters as the paper did.
 
-    evaluations: of each trial. seed: of the simulated stand and of the search. checkpoint: see `Search`; the same seed
-    records the same samples again, so a search can be resumed. Raises WrongUse, DriverError.
+    evaluations: the number of fitness evaluations of each trial. seed: the seed of the simulated stand and of the
+    search. checkpoint: see `Search`; the same seed records the same samples again, so a search can be resumed. Raises
+    WrongUse, DriverError.
     """
     path = _record(folder, seed)
     settings = replace(PRESETS["paper"], generations=evaluations)
@@ -113,7 +116,7 @@ def _record(folder: Path, seed: int) -> Path:
 
 
 def _numpy_seconds(signals: Signals) -> float:
-    """Return the processor time, s, of one fitness evaluation in plain NumPy: the best of many."""
+    """Return the processor time, s, of one fitness evaluation in plain NumPy: the shortest of many."""
     dtheta, rate, torque = signals.motion.dtheta, signals.motion.dtheta_dot, signals.torque
     best, end = float("inf"), time.process_time() + _MEASURE
     while time.process_time() < end:

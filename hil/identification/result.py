@@ -1,4 +1,4 @@
-"""The result of an identification, as the report reads it."""
+"""The result of an identification, from which the report is made."""
 
 from __future__ import annotations
 
@@ -27,9 +27,11 @@ _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which wo
 
 @dataclass(frozen=True, slots=True)
 class Repeatability:
-    """One parameter over the optimiser's trials: the best trial, the mean and the standard deviation.
+    """One parameter over the optimiser's trials: its value in the best trial, and mean and standard deviation over all
+    trials.
 
-    It shows how well the optimiser repeats; the uncertainty is the confidence interval. std: NaN for a single trial.
+    These numbers show how well the optimiser repeats; the uncertainty is the confidence interval. std: NaN for a single
+    trial.
     """
 
     best: float
@@ -39,7 +41,7 @@ class Repeatability:
 
 @dataclass(frozen=True, slots=True)
 class Conditional:
-    """One parameter for the selected model, SI: the exact optimum and its 95 % interval."""
+    """The estimate of one parameter by the selected model alone, SI: the exact optimum and its 95 % interval."""
 
     value: float
     ci95: tuple[float, float]
@@ -47,13 +49,14 @@ class Conditional:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter in SI. value: the exact optimum, or its average over models; ci95: its 95 % interval.
+    """The estimate of one parameter, SI.
 
-    conditional: the same for the selected model alone, None if that is what value and ci95 are. bounds: NaN if the
-    parameter was solved for and not searched. components: variance within and between pooled recordings, None for a
-    single recording and if fewer than two identify the parameter. depends_on: what the parameter changes with, such as
-    "amplitude", if it has no single value: ci95 then spans its values, and value is the middle. positive: whether
-    physics allows no value below zero.
+    value: the exact optimum, or its average over models. ci95: the 95 % interval. conditional: the estimate by the
+    selected model alone, None if `value` and `ci95` are that estimate. bounds: the searched range, NaN if the parameter
+    was computed exactly and not searched. components: variance within and between pooled recordings, None for a single
+    recording and if fewer than two recordings identify the parameter. depends_on: the quantity that the parameter
+    changes with, such as "amplitude", if it has no single value: `ci95` then spans its values, and `value` is the
+    middle. positive: whether the parameter cannot be negative for physical reasons.
     """
 
     name: str
@@ -71,7 +74,7 @@ class Estimate:
 
     @property
     def half_width(self) -> float:
-        """Return half of the interval before it is cut at zero."""
+        """Return half of the 95 % interval, before the interval is cut at zero."""
         return max(self.ci95[1] - self.value, self.value - self.ci95[0])
 
     @property
@@ -81,7 +84,7 @@ class Estimate:
 
     @property
     def choice(self) -> float:
-        """Return the fraction of the interval's width, 0 to 1, that comes from the choice of the model."""
+        """Return the fraction, 0 to 1, of the interval's width that comes from the choice of the model."""
         if self.conditional is None:
             return 0.0
         (low, high), (least, most) = self.ci95, self.conditional.ci95
@@ -90,9 +93,9 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Validation:
-    """The error on held-out 20 % of the data, of a fit to the other 80 %.
+    """The error of a fit to 80 % of the data on the held-out 20 %.
 
-    fitness: mean |error|, N m. nrmse: r.m.s. error over the torque's standard deviation, NaN if that is zero.
+    fitness: mean |error|, N m. nrmse: r.m.s. error divided by the torque's standard deviation, NaN if that is zero.
     """
 
     fitness: float
@@ -101,7 +104,7 @@ class Validation:
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """The compliance of the fixture, from an empty-rig recording; it is removed from the result's Kc and Bc."""
+    """The compliance of the fixture, from an empty-rig recording; the Kc and Bc of the result are without it."""
 
     recording: Path
     model: str
@@ -110,12 +113,13 @@ class Fixture:
 
 @dataclass(frozen=True, slots=True)
 class Deflection:
-    """The errors of the deflection: noise, rad, standard deviation; counts of the encoder over the motion, peak to
-    peak.
+    """The errors of the deflection and their effect on Kc and Bc.
 
-    low_pass: its corner, Hz, None if deflection and rate were clean enough without. method: how Kc and Bc were
-    corrected. strength: of the command as an instrument, 0 to 1; None if not needed or not recorded. before: how far Kc
-    and Bc were from their corrected values, relative; predicted: the same from a simulation of the errors.
+    noise: standard deviation of the readings, rad. counts: the encoder counts of the motion, peak to peak. low_pass:
+    corner frequency of the low-pass, Hz, None if deflection and rate needed none. method: how Kc and Bc were corrected.
+    strength: the strength of the command as an instrument, 0 to 1; None if it was not needed or not recorded. before:
+    the relative deviation of the uncorrected Kc and Bc from the corrected ones. predicted: the same deviation from a
+    simulation of the errors.
     """
 
     noise: float
@@ -131,14 +135,14 @@ class Deflection:
 class Identification:
     """The result of `hil identify`.
 
-    fitness: mean |error| of the best trial, N m; optimum: of the exact solution, N m; optimiser_gap: how far the former
-    is above the latter, relative. steps: of model selection, empty if the model was named. seconds: in all;
-    search_seconds: for the trials. torque_uncertainty: of the torque's scale, relative, one standard deviation.
-    lack_of_fit: the test whether the model describes the recordings, and dynamic_stiffness: of the joint without a
-    model; None if the recordings are too short. fixture: the fixture that was removed, None if it counts as rigid.
-    values (p + q,): the exact optimum, SI, for the signals, whose deflections may count from another zero than the
-    estimates. fitted (n,): which samples of the signals were fitted. deflection: its errors, None if they are too small
-    to have an effect.
+    fitness: mean |error| of the best trial, N m. optimum: mean |error| of the exact solution, N m. optimiser_gap: how
+    far `fitness` is above `optimum`, relative. steps: the steps of model selection, empty if the model was named.
+    seconds: total time. search_seconds: time of the trials. torque_uncertainty: relative standard uncertainty of the
+    torque's scale. lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: the joint's
+    stiffness without a model; both None if the recordings are too short. fixture: the fixture whose compliance was
+    removed, None if it is assumed rigid. values (p + q,): the exact optimum, SI, for the signals, whose deflections may
+    count from another zero than the estimates. fitted (n,): which samples of the signals were fitted. deflection: the
+    errors of the deflection, None if they are too small to have an effect.
     """
 
     recordings: tuple[Path, ...]
@@ -169,12 +173,14 @@ class Identification:
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
     def doubts(self, name: str) -> list[str]:
-        """Return the codes of the errors that concern the parameter, or all parameters; empty if it may be trusted."""
+        """Return the codes of the errors that concern the parameter, or all parameters; empty if the parameter may be
+        trusted.
+        """
         return [one.code for one in self.diagnostics if one.is_error and one.parameter in {name, None}]
 
     def trusted(self, name: str) -> bool:
-        """Return whether a parameter may be trusted; for one that the model lacks, the errors that concern all
-        decide.
+        """Return whether a parameter may be trusted. For a parameter that the model lacks, only errors that concern all
+        parameters matter.
         """
         known = all(estimate.identifiable for estimate in self.estimates if estimate.name == name)
         return known and not self.doubts(name)
@@ -191,7 +197,8 @@ class Identification:
 
 
 def interval(value: float, half: float, *, positive: bool) -> tuple[float, float]:
-    """Return the interval of a value with this half width, cut at zero if physics allows nothing below.
+    """Return the interval of a value with half width `half`, cut at zero if `positive`: the parameter cannot be
+    negative.
 
     This is the interval of a truncated normal distribution: it contains a true value above zero as often as without the
     cut.
@@ -200,8 +207,10 @@ def interval(value: float, half: float, *, positive: bool) -> tuple[float, float
 
 
 def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
-    """Return the standard error of an estimate, in its unit, from its 95 % interval without the torque's
-    uncertainty.
+    """Return the standard error of an estimate, in its unit, from its 95 % interval without the uncertainty of the
+    torque's scale.
+
+    uncertainty: the relative uncertainty of the torque's scale.
     """
     half = math.sqrt(max(estimate.half_width**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
     return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

@@ -45,7 +45,9 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
 
 
 def calibration_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
-    """Return a warning for each calibration that was old when a recording was made, or that was not the one in use."""
+    """Return a warning for each calibration that was old when a recording was made, or that was not in use at that
+    time.
+    """
     found: dict[str, Diagnostic] = {}
     for source in sources:
         created = str(source.recording.attributes.get("created", ""))

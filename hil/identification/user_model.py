@@ -41,7 +41,10 @@ _STEP = 1e-6  # of the bounds' width, for the Jacobian
 
 @dataclass(frozen=True)
 class UserModel:
-    """A user's model as `ga.model.separable` needs it: no columns, every parameter nonlinear. low, high: (q,), SI."""
+    """A user's model in the form that `ga.model.separable` needs: it has no columns, and every parameter is nonlinear.
+
+    low, high (q,): the bounds of the parameters, SI.
+    """
 
     name: str
     function: Callable[..., Any]
@@ -53,7 +56,9 @@ class UserModel:
     sticks: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], UserModel], tuple[str]]:
-        """Return how another process loads the model: by its name, since its file is no importable module."""
+        """Return the instructions for pickling: another process loads the model by its name, because its file is no
+        importable module.
+        """
         return load, (self.name,)
 
     def anchored(self, motion: Motion) -> UserModel:
@@ -62,15 +67,15 @@ class UserModel:
         return self
 
     def described(self, motion: Motion, _delay: float = 0.0) -> NDArray[np.bool_]:
-        """Return all samples (n,)."""
+        """Return that the model describes all samples (n,)."""
         return np.ones(len(motion), dtype=bool)
 
     def delay(self, _nonlinear: Array | None) -> float:
-        """Return 0 s: the function gets angle and torque as they were read."""
+        """Return the delay of the torque reading, 0 s: the function gets angle and torque as they were read."""
         return 0.0
 
     def bounds(self, _motion: Motion, _highest: float) -> tuple[Array, Array]:
-        """Return low (q,) and high (q,) of the parameters."""
+        """Return the lowest and the highest values (q,) of the parameters."""
         return self.low, self.high
 
     def columns(self, motion: Motion, _nonlinear: Array | None = None, _lag: float = 0.0) -> Array:
@@ -78,7 +83,7 @@ class UserModel:
         return np.zeros((len(motion), 0))
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
-        """Return the torque (n,), N m, less the known part of it and less what the function returns."""
+        """Return the torque (n,), N m, less the known part of the torque and less the value of the user's function."""
         values = 0.5 * (self.low + self.high) if nonlinear is None else nonlinear
         return np.asarray(torque - motion.known - self._torque(motion, values))
 
@@ -114,17 +119,19 @@ class UserModel:
 
 
 def _read_only(values: Array) -> Array:
-    """Return a read-only view: a function that writes into its arguments would change the recording."""
+    """Return a read-only view of the values, so that a function that writes into its arguments cannot change the
+    recording.
+    """
     view = values.view()
     view.flags.writeable = False
     return view
 
 
 def of_package(name: str) -> UserModel | None:
-    """Return the model of an entry point of the group `hil.models`; None if there is none of this name.
+    """Return the model of an entry point of the group `hil.models`; None if no entry point has this name.
 
-    If entry points name coupling terms (`ga.model.record.Term`) of the model, these are added to the table of terms.
-    Raises WrongUse.
+    If entry points name coupling terms (`ga.model.record.Term`) of the model, these terms are added to the table of
+    terms. Raises WrongUse if an entry point cannot be loaded.
     """
     known = plugins(MODELS)
     found = {word: known[word].load(Term, FunctionType) for word in name.split("+") if word in known}
@@ -139,7 +146,7 @@ def of_package(name: str) -> UserModel | None:
 
 
 def listed() -> list[tuple[str, str]]:
-    """Return name and meaning of every term, and of the models of other packages with their package.
+    """Return name and meaning of every term, and of the models of other packages, with the name of the package.
 
     A model that cannot be loaded is listed with the reason.
     """

@@ -1,1 +1,1 @@
-"""Kc and Bc averaged over the models that the data cannot decide between."""
+"""Average Kc and Bc over the models that the data cannot decide between."""

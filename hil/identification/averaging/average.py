@@ -3,18 +3,18 @@
 Model selection leaves out every term that is not significant. But no bench is without offset, drift, friction and skew,
 so the interval of the selected model alone is too narrow. The average is over the selected model with and without these
 small effects, and with and without the terms for which the evidence is weak in either direction. A rare term, such as a
-spring that curves, has the weight that model selection gives it: noise often looks a little like a cubic spring, which
-moves Kc by far more than its standard error. An offset and a skew always exist. The skew has the size that one recorder
-can produce, because the two readings of one tick never have the same age.
+spring that curves, has the weight that model selection gives to that term: noise often looks a little like a cubic
+spring, which changes Kc by far more than its standard error. An offset and a skew always exist. The skew has the size
+that one recorder can produce, because the two readings of one tick never have the same age.
 
 A delayed torque reading shows in fast motion, where the joint seems stiffer. A viscoelastic branch that relaxes faster
-than the joint moves does the same. In one joint of ten, a part of the apparent delay is such a branch, and that part
-must not be subtracted from Bc.
+than the joint moves looks the same. In one joint of ten, a part of the apparent delay is caused by such a branch, and
+that part must not be subtracted from Bc.
 
-An angle that passed a filter, where the torque passed none, looks like a delayed angle, and exactly like an inertia.
+An angle that passed a filter, with a torque that passed none, looks like a delayed angle, and exactly like an inertia.
 For each model with an inertia in place of a skew, both explanations are in the average.
 
-In slow motion a delayed reading only looks like less damping. Where no delay is selected, models with each likely delay
+In slow motion a delayed reading only looks like less damping. If no delay is selected, models with each likely delay
 are added, weighted by their likelihood.
 """
 
@@ -117,11 +117,12 @@ def averaged(
 def _behind_filter(
     one: Alternative, around: Sequence[tuple[dict[str, Averaged], float]], data: Signals
 ) -> list[tuple[dict[str, Averaged], float]]:
-    """Return the estimates of a model with an inertia, read as a joint whose angle passed a filter; [] if there is no
+    """Return the estimates of a model with an inertia, for a joint whose angle passed a filter; [] if the model has no
     inertia.
 
-    Both explanations give the same torque (`damping_behind_filter`), so neither is likelier. Of the two possible
-    filters the faster one is taken, because a slow filter would be known to the user.
+    one: the model. around: the averages of Kc and Bc for this model, each with its difference of Akaike's criterion.
+    Inertia and filter give the same torque (`damping_behind_filter`), so neither is likelier. Of the two filters that
+    explain the inertia, the faster one is used, because the user would know of a slow filter.
     """
     inertia = own_values(one, data).get("J", 0.0) if "inertia" in one.model.name.split("+") else 0.0
     found = []
@@ -138,11 +139,11 @@ def _behind_filter(
 
 
 def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
-    """Return the standard deviation of the damping, N m s/rad, that a branch hides in Bc if it explains a part of the
-    delay.
+    """Return the standard deviation, N m s/rad, of the damping that Bc would contain wrongly if a branch caused a part
+    of the delay.
 
-    For a model with one branch, `LateReading.lateness` already contains every second branch. A third branch is taken to
-    relax faster than the second by the same ratio as the second does than the first. To second order a branch of
+    For a model with one branch, `LateReading.lateness` already contains every second branch. A third branch is assumed
+    to relax faster than the second by the same ratio as the second does than the first. To second order a branch of
     stiffness K and time constant tau delays the torque by K tau^2/Bc and adds a damping of K tau; in fast motion both
     branches act as stiffness.
     """
@@ -156,11 +157,11 @@ def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
-    """Return the median of a mixture of normal estimates with weights (m,) of sum one, and how far its middle 95 %
-    reaches.
+    """Return the median of a mixture of normal estimates, and the half width of the range that contains its middle 95
+    %.
 
-    A standard deviation would miss a distant model with a probability of one in ten. The mean would follow such a model
-    where no data support it.
+    weights (m,): the weights of the estimates, of sum one. A standard deviation would miss a distant model with a
+    probability of one in ten. The mean would follow such a model where no data support it.
     """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
     low, high = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
@@ -179,8 +180,8 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
     """Return the correction (p,) of the larger model's parameters for errors of the deflection.
 
-    The larger model's fit is linearised at a smaller model. It may lie beyond the bounds, where no torque can be
-    computed; then the bounds are used.
+    The correction is computed at the larger model's fit, which is linearised at a smaller model. That fit may lie
+    beyond the bounds, where no torque can be computed; then the values at the bounds are used.
     """
     found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
     values, linear = larger.values[:count].copy(), len(larger.model.linear)
@@ -202,13 +203,15 @@ def _around(
     *,
     grows: bool,
 ) -> list[tuple[dict[str, Averaged], float]]:
-    """Return Kc and Bc averaged over one model with and without the effects that every bench has; [] if impossible.
+    """Return averages of Kc and Bc for one model with and without the effects that every bench has; [] if impossible.
 
-    They are followed by the averages of models with friction that falls with the rate, or (grows) damping that grows
-    with it, each with its difference in Akaike's criterion. Where the larger model does not contain the smaller one,
-    averaging would lead away from both: then the values are those of the smaller one, with the standard error of the
-    average and the distance between the two added. doubtful: the terms that the data do not decide on, and the cost of
-    each. by_errors: the correction of all parameters for errors of the deflection.
+    The first average is over all models contained in the largest one. The next are the averages with friction that
+    falls with the rate and, if `grows`, with damping that grows with the rate. Each average has its difference of
+    Akaike's criterion. If the larger model does not contain the smaller one, its average would be wrong: then the
+    values of the smaller model are returned, and the distance to the average is included in their half widths.
+
+    doubtful: the terms that the data do not decide on, and the cost of each. by_errors: a function that returns the
+    correction of all parameters for errors of the deflection.
     """
     largest = largest_model(model, tuple(doubtful), data)
     if largest is None:
@@ -229,7 +232,9 @@ def _around(
 
 
 def _about(value: float, mean: Averaged) -> Averaged:
-    """Return a value with the error of an average found elsewhere, and the distance to that average added to it."""
+    """Return `value` as an estimate. Its half width combines that of `mean` with the distance between `value` and
+    `mean`.
+    """
     return Averaged(value, math.hypot(mean.half_width, mean.value - value))
 
 

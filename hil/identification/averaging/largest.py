@@ -1,10 +1,10 @@
-"""The largest of the models that are averaged over: it contains all others, and its fit gives theirs.
+"""Build the largest of the models that are averaged over: it contains all others, and its fit gives their fits.
 
 If the spring curves, the curve that fits best is selected. No real spring follows one of these curves exactly, and the
 stiffness at zero deflection depends on the curve.
 
-Dry friction never reverses at once: what holds the joint is about as stiff as the coupling. Friction therefore builds
-up over a deflection of about Fc/Kc (Dahl 1976), which stiffens small motion.
+Dry friction never reverses at once: the contact that holds the joint is about as stiff as the coupling. Friction
+therefore builds up over a deflection of about Fc/Kc (Dahl 1976), which stiffens small motion.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its b
 
 @dataclass(frozen=True, eq=False)
 class Largest:
-    """The fit of the model that contains all others: values (p,) of the parameters `names`, and the terms added.
+    """The fit of the model that contains all others.
 
-    The names are those of the model's parameters, and that of friction that builds up where it is added.
-
-    columns (n, p) and target (n,), N m: the linear problem around the fit. likely (2, p): see `average`.
+    names: the parameters of the model, and that of friction that builds up if this term was added. values (p,): their
+    values, SI. columns (n, p) and target (n,), N m: the linear problem around the fit. sampling: the covariance of the
+    values. likely (2, p): the expected value of each parameter and its standard deviation before the data are seen.
     """
 
     model: CouplingModel
@@ -70,11 +70,11 @@ class Largest:
         return [name for term in self.added for name in _own(term)]
 
     def costs(self, doubtful: Mapping[str, float]) -> dict[str, float]:
-        """Return the cost of each parameter that a model can do without: those of the added terms and of the doubtful
-        ones.
+        """Return the cost of each parameter that a model may lack: the parameters of the added terms and of the
+        doubtful terms.
 
         doubtful: the terms that the data do not decide on, and the cost of each. If the data do not decide whether the
-        spring curves at all, only the curve in doubt is considered.
+        spring curves at all, only the doubtful curve is considered.
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
@@ -91,8 +91,8 @@ class Largest:
 def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
     """Return the largest model in which each added term can be distinguished from the others; None if there is none.
 
-    It is linearised at the fit of the smaller model: the added effects are small, and a nonlinear search would move
-    them far away together with a lag.
+    The largest model is linearised at the fit of the smaller model: the added effects are small, and a nonlinear search
+    would give them, together with a lag, values far too large.
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
@@ -131,7 +131,7 @@ def _nuisances(
 ) -> Iterator[tuple[str, Array]]:
     """Yield the columns (n,) of effects that no term of the model follows exactly, each with its name.
 
-    chosen: the terms of the model. names, columns (n, p), values (p,): its parameters.
+    chosen: the terms of the model. names, columns (n, p), values (p,): the parameters of the model.
     """
     own = dict(zip(names, values.tolist(), strict=True))
     if (building := _building_up(own, motion)) is not None:
@@ -146,8 +146,8 @@ def _nuisances(
 
 
 def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
-    """Return the covariance, including what wrong rates beside jumps of the acceleration do to the parameters of
-    columns (n, p).
+    """Return the covariance of the parameters of columns (n, p), including the effect of wrong rates beside jumps of
+    the acceleration.
     """
     missing = rate_beside_jumps(data.motion, data.command)
     if missing is None:
@@ -173,8 +173,8 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     """Return the difference in torque (n,), N m, between friction that builds up over Fc/Kc and friction that reverses
     at once.
 
-    None if the model has no Coulomb friction, if the build-up is too short to be seen, or if friction reverses
-    smoothly. values: those of the model's parameters by name.
+    values: the parameters of the model by name. None if the model has no Coulomb friction, if the friction builds up
+    too fast to be visible, or if friction reverses smoothly.
     """
     friction, stiffness = values.get("Fc", 0.0), values["Kc"]
     if friction <= 0.0 or stiffness <= 0.0 or "vr" in values:
@@ -186,9 +186,10 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
 
 
 def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
-    """Return by how much (n,) friction of the form v/sqrt(v^2 + vr^2) exceeds friction of the form tanh(v/vr).
+    """Return the torque (n,) of friction of the form v/sqrt(v^2 + vr^2), less the torque of friction of the form
+    tanh(v/vr).
 
-    values: of the model's parameters by name.
+    values: the parameters of the model by name.
     """
     turned = motion.delayed(values.get("skew", 0.0)).dtheta_dot / values["vr"]
     turned = np.maximum(np.abs(turned), _SLOW)
@@ -198,9 +199,9 @@ def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
 def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     """Return whether the larger fit, with the added parameters set to zero, equals the smaller fit within its interval.
 
-    Both are fits to the same data. If they differ, because residuals are correlated over longer times than the average
-    assumes, the covariance of the larger fit does not describe how its parameters move together, and an average would
-    lead away from both.
+    Both are fits to the same data. They can differ because residuals are correlated over longer times than the average
+    assumes. Then the covariance of the larger fit does not describe how its parameters change together, and the average
+    would be wrong.
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
@@ -216,7 +217,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
 
 
 def own_values(one: Alternative, data: Signals) -> dict[str, float]:
-    """Return the linear parameters of a model, SI, by name, fitted at the model's nonlinear parameters."""
+    """Return the linear parameters of the model `one`, SI, by name, fitted at the model's nonlinear parameters."""
     bounds = one.model.bounds(data.motion, data.band[1])
     values = Problem(one.model, data.motion, data.torque, *bounds).solve(one.nonlinear).values.tolist()
     return dict(zip((parameter.name for parameter in one.model.linear), values, strict=False))

@@ -1,16 +1,17 @@
-"""The largest model with friction that falls with the rate, and with damping that grows with it.
+"""Build the largest model with friction that falls with the rate, and with damping that grows with the rate.
 
-Friction can fall with the rate, as that of grease and of soft bristles does (Stribeck 1902; Canudas de Wit and others
-1995): it then subtracts from the torque what damping adds. The rate over which it falls and the size of the fall, at
-most the friction at speed, are unknown. The models with a few of these rates together have the weight of one model with
-one more parameter. Where the recording hardly shows the fall, only that limit bounds its size.
+Friction can fall with the rate, as the friction of grease and of soft bristles does (Stribeck 1902; Canudas de Wit and
+others 1995): it then subtracts from the torque what damping adds. Two quantities are unknown: the rate over which the
+friction falls, and the size of the fall, which is at most the friction at speed. Models with a few of these rates are
+added; together they have the weight of one model with one more parameter. If the recording hardly shows the fall, only
+the limit above bounds its size.
 
 No such model gets more weight than the selected one. Where the joint reverses, a rate that is a fraction of a sample
-late, or friction that builds up, looks like a fall. If such a law has strong evidence and was not selected, both values
-belong in the interval.
+late, or friction that builds up, looks like a fall. If there is strong evidence for such a law although it was not
+selected, the interval must contain both values.
 
-In one joint of ten damping grows with the rate, as that of a moving fluid does. Noise can hide this, and Bc is then the
-damping at the usual rate, not that of slow motion.
+In one joint of ten damping grows with the rate, as the damping of a moving fluid does. Noise can hide this, and Bc is
+then the damping at the usual rate, not the damping of slow motion.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is fe
 def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
     """Return the fits with friction that falls over some rate, each with its change of Akaike's criterion.
 
-    [] if the selected model has no friction, or has friction that falls.
+    [] if the selected model has no friction, or already has friction that falls.
     """
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
     rubs = [name for name in values if _rubs(name)]
@@ -82,8 +83,9 @@ def growing(
 ) -> list[tuple[Largest, float]]:
     """Return the fit with damping that grows with the rate, with its change of Akaike's criterion; [] if there is none.
 
-    smaller, doubtful: the model inside the largest one, and the terms that the data do not decide on. by_errors: the
-    correction of all parameters for errors of the deflection, which themselves look like such damping.
+    smaller: the model inside the largest one. doubtful: the terms that the data do not decide on. by_errors: a function
+    that returns the correction of all parameters for errors of the deflection, because these errors look like such
+    damping.
     """
     terms, usual = smaller.model.name.split("+"), felt(data.motion.dtheta_dot)
     damping = float(largest.values[largest.names.index("Bc")])
@@ -117,7 +119,7 @@ def _with_last(largest: Largest, name: str) -> Largest:
 def _fallen(largest: Largest, column: Array) -> list[tuple[Largest, float]]:
     """Return the fit with falling friction, with its change of Akaike's criterion; [] if it is not distinguishable.
 
-    column (n,): the additional torque of friction at rest, N m, if it is twice that at speed.
+    column (n,): the torque, N m, that friction adds near rest if friction at rest is twice the friction at speed.
     """
     columns = np.column_stack([largest.columns, column])
     try:
@@ -132,10 +134,10 @@ def _fallen(largest: Largest, column: Array) -> list[tuple[Largest, float]]:
 
 
 def _marginal(larger: Largest, likely: float) -> list[tuple[Largest, float]]:
-    """Return the fit integrated over its last parameter, with its change of Akaike's criterion; [] if not
-    distinguishable.
+    """Return the fit integrated over its last parameter, with its change of Akaike's criterion; [] if the parameters
+    are not distinguishable.
 
-    likely: the standard deviation of that parameter before the data are seen, in its unit.
+    likely: the standard deviation of the last parameter before the data are seen, in its unit.
     """
     sampling = larger.sampling
     if not (sampling.distinct & (np.diag(sampling.matrix) > 0.0)).all():
@@ -158,12 +160,14 @@ def _marginal(larger: Largest, likely: float) -> list[tuple[Largest, float]]:
 def _blurred(columns: Array, values: Array, target: Array) -> float:
     """Return the factor by which errors of the rate reduce the information in the likelihood of a fit.
 
-    columns (n, p), values (p,), target (n,) N m: of the fit.
+    columns (n, p): the columns of the fit. values (p,): its parameters. target (n,): the torque, N m.
     """
     density = density_at_zero(target - columns @ values, 0.5 * smallest_step(target))
     return 1.0 + by_rate(len(target), density, float(np.mean(np.abs(target))))
 
 
 def _rubs(name: str) -> bool:
-    """Return whether this is the name of a friction parameter; a nuisance parameter is not."""
+    """Return whether `name` is the name of a friction parameter of the model; names of added nuisance effects are
+    not.
+    """
     return name in PARAMETERS and PARAMETERS[name].friction

@@ -1,1 +1,1 @@
-"""Doubts about a result: what the recording cannot identify or distinguish, and what the model lacks."""
+"""Doubts about a result: what the recording cannot identify or distinguish, and which effects the model lacks."""

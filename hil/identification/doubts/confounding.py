@@ -1,4 +1,6 @@
-"""Effects that this recording cannot distinguish: inertia, friction, a filter or a delayed reading."""
+"""Warn of effects that this recording cannot distinguish from Kc and Bc: inertia, friction, a filter or a delayed
+reading.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ _NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not 
 
 
 def several_speeds(evidence: Evidence) -> str:
-    """Return the remedy for an effect that cannot be seen at a single speed."""
+    """Return the remedy, as text, for an effect that cannot be seen at a single speed."""
     imported = evidence.signals.imported
     return again("Drive at several speeds over two octaves", "--profile chirp or multisine", imported=imported)
 
@@ -56,15 +58,18 @@ def _inertia(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _as_motors(evidence: Evidence) -> str:
-    """Return the instruction for declaring that the torque is the motor's, for a table or for a stand."""
+    """Return the instruction, as text, for declaring that the torque is the motor's, for an imported table or for a
+    stand.
+    """
     if evidence.signals.imported or evidence.signals.torque_from == "given":
         return "import it with --motor-torque, and set motor_inertia in the stand file"
     return 'set torque_source = "motor" and motor_inertia in the stand file'
 
 
 def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for an inertia that may equally be a filter of the angle; [] if the torque is the
-    motor's.
+    """Return the diagnostic for an inertia that may equally be a filter of the angle.
+
+    [] if the torque is the motor's, because the inertia is then expected.
     """
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     if not {"Kc", "Bc", "J"} <= set(values) or evidence.signals.torque_from == "motor" or values["J"] <= 0.0:
@@ -106,12 +111,12 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
-    """Return the error of Kc and Bc if friction at rest would become a part of them.
+    """Return the error of Kc and Bc if friction of a joint that comes to rest would become a part of Kc and Bc.
 
     If a first-order drive answers a step of the set-point, the torque of friction is a sum of the torques of deflection
-    and rate, and nothing shows it. If a second-order drive does, friction is partly proportional to the acceleration
-    too: it looks like more stiffness and damping, and a torque that is read too early. In other motion friction looks
-    nearly like the torque of a spring that curves.
+    and rate, so nothing in the recording shows it. If a second-order drive does, friction is partly proportional to the
+    acceleration too: it looks like more stiffness and damping, and like a torque that is read too early. In other
+    motion friction looks nearly like the torque of a spring that curves.
     """
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     terms = set(evidence.model.name.split("+"))
@@ -139,7 +144,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning if friction makes most of the torque, or play most of the motion."""
+    """Return the warning if most of the torque is friction, or if most of the motion is play."""
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     torque, angle, friction = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta), _friction(values)
     gap, causes, times = values.get("gap", 0.0), [], 1.0
@@ -159,14 +164,16 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
 
 
 def _friction(values: Mapping[str, float]) -> float:
-    """Return the friction, N m, of a model with these parameters (SI, by name); zero if it has none."""
+    """Return the friction, N m, of a model with these parameters (SI, by name); zero if the model has no friction
+    term.
+    """
     return max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
 
 
 def _least_friction(evidence: Evidence) -> float:
-    """Return the least friction, N m, that the model may have: the lower end of its interval; zero if it has none.
+    """Return the lower end of the interval of the friction, N m; zero if the model has no friction term.
 
-    Friction in proportion to the torque is taken at the largest torque.
+    For friction in proportion to the torque, the value at the largest torque is used.
     """
     ends = zip(evidence.names, np.abs(evidence.values) - evidence.errors.half_width, strict=True)
     sizes = {**dict.fromkeys(_FRICTION, 1.0), "mu": _loaded(evidence)}
@@ -179,13 +186,13 @@ def _loaded(evidence: Evidence) -> float:
 
 
 def _middle_of(values: Array) -> float:
-    """Return half the range of values (n,) after the outermost ones, which may be outliers, are left out."""
+    """Return half the range of values (n,) without the outermost values, which may be outliers."""
     low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
     return float(0.5 * (high - low))
 
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
-    """Return the warning of a skew that is too long for one recorder or is the effect of a filter."""
+    """Return the warning if the skew is too long for one recorder, or is the effect of a filter."""
     if "window" in evidence.names:
         return [_filtered(evidence)]
     if "skew" not in evidence.names:
@@ -206,7 +213,8 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
 def _filtered(evidence: Evidence) -> Diagnostic:
     """Return the diagnostic for a torque that a filter averages: an error, unless the user named the term `mean`.
 
-    Another filter with the same delay fits nearly as well and gives another Bc (for a Butterworth of 30 Hz, 8 % more).
+    Another filter with the same delay fits nearly as well and gives another Bc (a Butterworth filter of 30 Hz: 8 %
+    more).
     """
     window, late = (
         float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0

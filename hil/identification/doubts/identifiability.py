@@ -64,7 +64,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
 
 
 def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Return warnings of wide intervals of Kc and Bc, for parameters that none of the doubts concerns.
+    """Return warnings of wide intervals of Kc and Bc, except for parameters that one of the `doubts` already names.
 
     Differences between recordings have warnings of their own.
     """
@@ -82,10 +82,11 @@ def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Dia
 def other_stiffness(
     values: Mapping[str, float], deflected: float = 0.0, /, *, model: str = "", spans: str = ""
 ) -> list[Diagnostic]:
-    """Return a diagnostic for each second stiffness of a model with these values (SI, by name of the parameter).
+    """Return a diagnostic for each second stiffness of a model, such as the stiffness of a spring behind a gap.
 
-    deflected: r.m.s. deflection, rad. model: its name. spans: what Kc depends on ("amplitude", "direction" or
-    "deflection") if the interval of Kc contains both stiffnesses.
+    values: the model's parameters, SI, by name. deflected: r.m.s. deflection, rad. model: the model's name. spans: the
+    quantity on which Kc depends ("amplitude", "direction" or "deflection") if the interval of Kc contains both
+    stiffnesses.
     """
     found = []
     if (before := sliding(values, deflected)) is not None:
@@ -132,7 +133,7 @@ def _relaxing(values: Mapping[str, float]) -> list[tuple[float, str]]:
 
 
 def _unloaded(evidence: Evidence) -> list[Diagnostic]:
-    """Return the diagnostic for a spring that curves and whose unloaded place is unknown; an error if Kc is too
+    """Return the diagnostic for a spring that curves and whose unloaded deflection is unknown; an error if Kc is too
     uncertain.
     """
     if evidence.span is None or evidence.span[2] != UNLOADED_PLACE:
@@ -207,7 +208,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
 
 
 def _alike(evidence: Evidence, at: int) -> str:
-    """Return the parameter that cannot be distinguished from this one, and the remedy."""
+    """Return, as text, the parameter that cannot be distinguished from parameter `at`, and the remedy."""
     name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
     relaxing = _relaxing(dict(zip(evidence.names, evidence.values.tolist(), strict=True)))
     constant, slowest = max(relaxing, default=(0.0, ""))
@@ -236,7 +237,7 @@ def _alike(evidence: Evidence, at: int) -> str:
 
 
 def _wide(evidence: Evidence, at: int) -> str:
-    """Return why the interval of the parameter is wide or too wide, and the remedy."""
+    """Return, as text, why the interval of parameter `at` is wide or too wide, and the remedy."""
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = float(evidence.values[at]), float(evidence.errors.half_width[at])
     uncertain = f"{name} is uncertain by {half / abs(value):.0%}" if evidence.identifiable(at) else ""
@@ -267,7 +268,9 @@ def _differs(evidence: Evidence, at: int) -> VarianceComponents | None:
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:
-    """Return the value that the selected model alone gives, where likely models disagree on it, and the remedy."""
+    """Return, as text, the value of the selected model alone if likely models disagree on the parameter, and the
+    remedy.
+    """
     name, unit = evidence.names[at], evidence.parameters[at].unit
     value, half = (float(of[at]) for of in evidence.exact)
     corner, imported = _corner(evidence) if name == "Bc" else "", evidence.signals.imported
@@ -292,8 +295,8 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
 
 
 def _corner(evidence: Evidence) -> str:
-    """Return the corner frequency Kc/(2 pi Bc), above which damping dominates, as text; "" if the joint moved that
-    fast.
+    """Return, as text, the corner frequency Kc/(2 pi Bc), above which damping dominates; "" if the joint moved at such
+    frequencies.
     """
     if "Kc" not in evidence.names:
         return ""

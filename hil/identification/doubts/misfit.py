@@ -1,4 +1,4 @@
-"""A model that does not describe its recording: in which respects, by how much, and what to try."""
+"""Warn of a model that does not describe its recording: in which respects, by how much, and what to try."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ _CHANGES = 0.03  # of K' over the band, from which it is said
 def misfit_diagnostics(
     described: Described, model: str, found: LackOfFit | None, dynamic: DynamicStiffness | None, *, selected: bool
 ) -> list[Diagnostic]:
-    """Return the warning or error that the named model does not describe its recording; [] if it does.
+    """Return the warning or error that the model does not describe its recording; [] if it does.
 
-    If the torque's readings show how they were processed, that is reported first, in place of a term that looks like
-    it. selected: whether the model was selected, and not named by the user.
+    described: the recording and its fit. model: the model's name. found: the result of the lack-of-fit tests. dynamic:
+    the dynamic stiffness. selected: whether the model was selected, and not named by the user. If the torque's readings
+    show that they were held or joined by lines, the text reports that first, and not a term that looks like it.
     """
     if found is None or found.is_undecided or not found.misfit:
         missed = _untested_motion(described, model) if selected else []
@@ -49,9 +50,10 @@ def misfit_diagnostics(
 
 
 def lost_by_misfit(before: Sequence[Estimate], found: Sequence[Estimate]) -> list[Diagnostic]:
-    """Return the error of each parameter that is identified by the model, but no longer when its misfit is included.
+    """Return the error of each parameter that is identifiable in `before` and no longer in `found`.
 
-    before, found: the estimates with the intervals of the model, and with those widened by the misfit.
+    before: the estimates with the intervals of the model alone. found: the estimates with intervals widened by the
+    misfit.
     """
     return [
         Diagnostic(
@@ -68,7 +70,9 @@ def lost_by_misfit(before: Sequence[Estimate], found: Sequence[Estimate]) -> lis
 
 
 def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
-    """Return the warning that the recording is too short for the lack-of-fit tests, or that they can decide nothing."""
+    """Return the warning that the recording is too short for the lack-of-fit tests, or too short for them to decide
+    anything.
+    """
     seen = f", but the motion predicts {100.0 * found.share:.0f} % of its residuals" if found else ""
     return Diagnostic(
         "misfit-untested",
@@ -80,9 +84,9 @@ def _untested(model: str, found: LackOfFit | None) -> Diagnostic:
 def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     """Return the error that hardly any of the motion is in the samples that the tests use; [] otherwise.
 
-    Beside jumps of the acceleration the model is compared with the dynamic stiffness. That is impossible for a model
-    with friction, which may hold the joint there, and for one with an inertia, whose torque jumps. If the spring
-    curves, Kc is an error too, because any other effect would change the curve.
+    Beside jumps of the acceleration the model is compared with the dynamic stiffness instead. That is impossible for a
+    model with friction, which may hold the joint there, and for a model with an inertia, whose torque jumps. If the
+    spring curves, Kc gets an error too, because any other effect would change the curve.
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
     moving = tested_motion(described)
@@ -111,7 +115,7 @@ def _respects(model: str, found: LackOfFit) -> str:
 
 
 def _at_jumps(found: LackOfFit) -> list[str]:
-    """Return what the model lacks beside jumps of the acceleration; [] for nothing."""
+    """Return, as text, the torque that the model lacks beside jumps of the acceleration; [] if nothing is lacking."""
     lacking = found.at_jumps
     if lacking is None:
         return []
@@ -135,8 +139,8 @@ def _consequence(found: LackOfFit, names: Sequence[str]) -> str:
 
 
 def _size(found: LackOfFit, of: int, size: float | None, *, sign: str = "") -> str:
-    """Return a relative change of Kc (0) or Bc (1) as text, in its unit if the value is zero. sign: "+" prints its
-    sign.
+    """Return a relative change of Kc (of = 0) or Bc (of = 1) as text, in its unit if the value is zero. sign: "+"
+    prints the sign.
     """
     absolute = found.change(of, size or 0.0)
     if math.isfinite(absolute):

@@ -1,4 +1,4 @@
-"""A Kc whose torque is smaller than the torque that the model leaves unexplained."""
+"""Warn of a Kc whose torque is smaller than the torque that the model leaves unexplained."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _ROWS = 20_000  # samples, of which it is seen how much of a column others can m
 
 
 def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Diagnostic]:
-    """Return the error if the torque that determines Kc is smaller than what the model leaves unexplained; []
-    otherwise.
+    """Return the error if the torque that determines Kc is smaller than the torque that the model leaves unexplained;
+    else [].
 
     Friction, play and the other parameters can explain most of the torque of a spring that is hardly loaded: Kc then
-    follows from the small rest. An effect that the model lacks may look like that rest, and would change Kc by the
-    ratio of the two. Noise averages out, so it is not counted, and a model that passes the tests is not doubted. A Kc
-    of zero, its bound, is refused elsewhere, with the reason.
+    follows from the small remaining torque. An effect that the model lacks may look like that remaining torque, and
+    would change Kc by the ratio of the two. Noise is not included, because it averages out, and a model that passes the
+    tests is not doubted. A Kc of zero, its bound, has an error of its own.
     """
     if found is None or not (found.misfit or found.is_undecided) or "Kc" not in described.names:
         return []
@@ -57,7 +57,8 @@ def _carried(described: Described) -> float:
 def _beyond_noise(described: Described) -> float:
     """Return the r.m.s. residual without the noise of the reading, N m.
 
-    The noise is estimated from differences between successive readings; a low-pass passes the part of it in its band.
+    The noise is estimated from differences between successive readings. If the readings were low-passed, only the noise
+    in the pass band is subtracted.
     """
     signals, residuals = described.signals, np.zeros(len(described.signals))
     residuals[described.kept] = described.residuals

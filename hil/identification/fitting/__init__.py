@@ -1,3 +1,1 @@
-"""The parts of one fit: bounds of the search, exact optimum, validation, and the test whether it describes the
-recording.
-"""
+"""The parts of one fit: bounds of the search, exact optimum, validation, and the lack-of-fit test."""

@@ -1,4 +1,4 @@
-"""The bounds of a search: ranges given by the user, those of the paper, or those derived from the data."""
+"""Choose the bounds of a search: ranges given by the user, those of the paper, or those derived from the data."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from hil.identification.model_choice import Coupling
 
 Array = NDArray[np.float64]
 Given = Mapping[str, tuple[float, float]]
-"""The lowest and highest value of some parameters, SI, by name."""
+"""The user's bounds: the lowest and highest value of some parameters, SI, by name."""
 
 
 def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
-    """Return the bounds of the linear parameters: the given ranges, else the paper's if requested, else those from the
-    data.
+    """Return the bounds of the linear parameters: the given ranges, else the paper's if `papers` is true, else those
+    from the data.
 
-    No bound is below zero if physics allows no negative value. Raises WrongUse as `narrowed`.
+    No bound is below zero for a parameter that cannot be negative for physical reasons. Raises WrongUse as `narrowed`.
     """
     found = bounds_from_data(columns, torque, positive=positive_among(model.linear))
     low, high = found.low.copy(), found.high.copy()
@@ -32,7 +32,7 @@ def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, 
 
 
 def narrowed(low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str) -> tuple[Array, Array]:
-    """Return the bounds (p,), narrowed to the given ranges as far as physics allows.
+    """Return the bounds (p,), narrowed to the given ranges.
 
     Raises WrongUse for an unknown parameter, an empty range, or a negative range of a parameter that cannot be
     negative.

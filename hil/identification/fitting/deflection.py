@@ -1,4 +1,4 @@
-"""The correction of Kc and Bc for errors of the deflection: the change, its summary and its diagnostics."""
+"""Correct Kc and Bc for errors of the deflection: the change, its summary and its diagnostics."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def read_with_errors(
 ) -> DeflectionErrors | None:
     """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 
-    used (n,): the samples that the model is fitted to. values (p + q,): the exact optimum; half_width (p + q,): its
-    half intervals, SI.
+    used (n,): the samples that the model is fitted to. values (p + q,): the exact optimum, SI. half_width (p + q,):
+    half the intervals of the values, SI.
     """
     window, motion = signals.window, signals.motion
     places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
@@ -58,7 +58,9 @@ def read_with_errors(
 
 
 def summarised(evidence: Evidence) -> Deflection | None:
-    """Return the summary for the result; None if the errors of the deflection are too small to have an effect."""
+    """Return the summary of the errors of the deflection for the result; None if they are too small to have an
+    effect.
+    """
     found = evidence.deflection
     if found is None or (found.method == "none" and found.low_pass is None):
         return None
@@ -74,7 +76,7 @@ def summarised(evidence: Evidence) -> Deflection | None:
 
 
 def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
-    """Return warnings if Kc or Bc was corrected by much, and errors if the correction is impossible."""
+    """Return warnings if the correction of Kc or Bc is large, and errors if the correction is impossible."""
     found = evidence.deflection
     if found is None:
         return []
@@ -125,7 +127,7 @@ def _cause(found: DeflectionErrors) -> str:
 
 
 def _relative(evidence: Evidence, change: Array) -> dict[str, float]:
-    """Return a change (p + q,) of Kc and Bc relative to their corrected values."""
+    """Return the part of a change (p + q,) that concerns Kc and Bc, by name, relative to their corrected values."""
     found: dict[str, float] = {}
     for name in COUPLING:
         if name in evidence.names:

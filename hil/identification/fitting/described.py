@@ -1,4 +1,6 @@
-"""A recording and the model fitted to it: whether the model describes it, and the joint's stiffness without a model."""
+"""Test whether a model describes the recording that it was fitted to, and compute the joint's stiffness without a
+model.
+"""
 
 from __future__ import annotations
 
@@ -54,10 +56,10 @@ class Described:
     """A recording and the model fitted to it, SI.
 
     signals: all samples (n,). kept (n,): which samples the model describes; there are m. residuals (m,) N m and columns
-    (m, p): at these samples. values and half_width (p,): of the parameters and of their intervals. averaged: whether
+    (m, p): at these samples. values and half_width (p,): the parameters, and half their intervals. averaged: whether
     the intervals include the small effects of every bench, which are then no misfit. differing: the row at which each
-    recording ends, for pooled recordings that differ from each other. That is reported already, so no effect that
-    changes with time is sought to explain it. () if they do not differ.
+    recording ends, for pooled recordings that differ from each other; () if they do not differ. Such a difference has a
+    diagnostic of its own, so no effect that changes with time is suggested as its cause.
     """
 
     model: SeparableModel
@@ -76,11 +78,11 @@ class Described:
         return tuple(parameter.name for parameter in (*self.model.linear, *self.model.nonlinear))
 
     def linearised(self, motion: Motion) -> Array:
-        """Return the columns (n, p) of all samples, computed with this motion."""
+        """Return the columns (n, p) of the model at all samples, computed with the given motion."""
         return linearised(self.model, motion, *np.split(self.values, [len(self.model.linear)]))
 
     def recorded(self, motion: Motion) -> Recorded:
-        """Return the samples with this motion (n,)."""
+        """Return the samples (n,) as a `Recorded`, with the given motion."""
         return Recorded(motion.time, self.signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts)
 
 
@@ -104,7 +106,7 @@ def _tested(described: Described) -> LackOfFit | None:
 
 
 def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | None:
-    """Test the fit with a motion (n,) computed from the command, which has no errors of reading."""
+    """Test the fit with a motion (n,) computed from the command, which has no measurement errors."""
     columns = described.linearised(motion)
     recorded, fitted = _held_against(described, motion, columns)
     # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
@@ -119,7 +121,9 @@ def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | 
 
 
 def _tested_as_read(described: Described) -> LackOfFit | None:
-    """Test the fit with the motion as it was read, and compare a misfit with what errors of the reading predict."""
+    """Test the fit with the measured motion, and compare a misfit with the residuals that measurement errors would
+    cause.
+    """
     signals, motion = described.signals, described.signals.motion
     found = lack_of_fit(*_held_against(described, motion, None))
     if found is None or not found.misfit or signals.window is None:
@@ -135,7 +139,8 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
 def tested_motion(described: Described) -> float:
     """Return the fraction of the motion, by power of the rate, in the samples whose residuals are tested.
 
-    Samples beside jumps of the acceleration are not tested. A joint that steps between two rests moves nowhere else.
+    Samples beside jumps of the acceleration are not tested. A joint that steps from rest to rest moves only in such
+    samples.
     """
     power = np.where(described.kept, described.signals.motion.dtheta_dot, 0.0) ** 2
     return float(np.sum(power[described.signals.smooth])) / max(float(np.sum(power)), np.finfo(float).tiny)
@@ -148,12 +153,12 @@ def without_model(described: Described) -> DynamicStiffness | None:
 
 
 def _lacking_at_jumps(described: Described) -> Lacking | None:
-    """Return what the model lacks most, judged with the samples beside jumps of the acceleration; None if nothing
-    relevant.
+    """Return the largest effect that the model lacks beside jumps of the acceleration; None if no relevant effect is
+    lacking.
 
     The fit and its test leave these samples out, because their rate is not known. But if set-points jump, an inertia
-    shows hardly anywhere else, and friction that builds up may take its place. The dynamic stiffness of the unexplained
-    torque needs no rate of single samples. It is not applied to a model with an inertia, whose torque jumps, nor to one
+    shows hardly anywhere else, and friction that builds up may hide it. The dynamic stiffness of the unexplained torque
+    needs no rate of single samples. It is not computed for a model with an inertia, whose torque jumps, nor for one
     with friction, which may hold the joint when it starts to move.
     """
     signals, model = described.signals, described.model
@@ -181,10 +186,10 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
 
 
 def _of_errors(described: Described, followed: Array) -> Array:
-    """Return the torque (n,), N m, caused by errors of the deflection: that of the motion read less that of the true
-    one.
+    """Return the torque (n,), N m, caused by errors of the deflection: the torque of the measured motion less that of
+    the true one.
 
-    followed (n, p): the columns of the motion that follows from the command. If the joint rests at only a few angles,
+    followed (n, p): the columns of the motion computed from the command. If the joint rests at only a few angles,
     rounding errors follow the motion, and are no misfit.
     """
     p = len(described.model.linear)
@@ -193,10 +198,11 @@ def _of_errors(described: Described, followed: Array) -> Array:
 
 
 def _added(described: Described, before: Array, noisy: Motion) -> float:
-    """Return the power, (N m)^2, that additional errors of the motion (n,) add to the predicted residuals.
+    """Return the power, (N m)^2, that additional measurement errors add to the part of the residuals that is
+    predictable.
 
-    before (n, p): the columns without these errors. The errors appear in the regressors too, and some regressors show
-    little else; these are equal with and without.
+    before (n, p): the columns without the additional errors. noisy: the motion (n,) with them. The errors are added to
+    the regressors too, and some regressors consist of little else; both powers are computed with equal regressors.
     """
     p = len(described.model.linear)
     after = described.linearised(noisy)
@@ -207,7 +213,10 @@ def _added(described: Described, before: Array, noisy: Motion) -> float:
 
 
 def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Fitted]:
-    """Return recording and fit with the columns (n, p) of a motion with other errors; None: of the fit's motion."""
+    """Return recording and fit for the lack-of-fit test with another motion.
+
+    of_motion (n, p): the columns of that motion; None: the columns of the motion that the model was fitted to.
+    """
     names, count, recorded = described.names, len(described.signals), described.recorded(motion)
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
@@ -230,9 +239,9 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
 
 
 def _without_errors(signals: Signals) -> Motion:
-    """Return the motion for the test: computed from the command if the noise of the deflection is in the residuals.
+    """Return the motion for the test: computed from the command if the residuals contain the noise of the deflection.
 
-    With the motion as read, the same noise would be in both, and the test would find it.
+    With the measured motion, the same noise would be in residuals and regressors, and the test would detect it.
     """
     window, command = signals.window, signals.command
     if window is None or not window.noisy or not is_instrument(command) or signals.motion.part_of is not None:
@@ -244,7 +253,10 @@ def _without_errors(signals: Signals) -> Motion:
 
 
 def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, columns: Array) -> list[Array]:
-    """Return the columns (n, 1) of the small effects that every bench has and the model of columns (n, p) lacks."""
+    """Return the columns (n, 1) of the small effects that every bench has and the fitted model lacks.
+
+    columns (n, p): those of the fitted model.
+    """
     model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
     codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
     found = [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
@@ -252,9 +264,10 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, 
 
 
 def _of_each_recording(described: Described, coupling: Array) -> Array:
-    """Return the columns (n, k) that give each recording its own Kc and Bc; coupling (n, 2): the common columns.
+    """Return the columns (n, k) that give each recording its own Kc and Bc.
 
-    Their mean over the recordings is zero, so the common Kc and Bc do not change.
+    coupling (n, 2): the common columns of Kc and Bc. The mean of the new columns over the recordings is zero, so the
+    common Kc and Bc do not change.
     """
     count = len(described.differing)
     at = np.searchsorted(described.differing, np.cumsum(described.kept) - 1, side="right").clip(0, count - 1)
@@ -263,7 +276,7 @@ def _of_each_recording(described: Described, coupling: Array) -> Array:
 
 
 def _is_small(described: Described, residuals: Array, columns: Array, effect: Array) -> bool:
-    """Return whether the residuals need so little of an effect (n, 1) that most of Kc and Bc remains.
+    """Return whether the fit of an effect (n, 1) to the residuals changes Kc and Bc by only a small part.
 
     Model averages contain only small effects: a skew that replaces the whole damping would really be an inertia.
     """
@@ -275,11 +288,11 @@ def _is_small(described: Described, residuals: Array, columns: Array, effect: Ar
 
 
 def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
-    """Return the torque (n, 1), N m, of set-points that are held until the next reading; [] if the residuals contradict
-    it.
+    """Return the torque (n, 1), N m, caused by set-points that are held until the next reading; [] if the residuals
+    exclude it.
 
     The jumps of the acceleration change the rate in proportion to rate, acceleration and jerk. Bc and a skew absorb the
-    first two. The size of the third follows from Bc and the time step, so it can hide no other effect.
+    first two parts. The size of the third part follows from Bc and the time step, so it can hide no other effect.
     """
     damping = damping_at(motion.dtheta_dot, dict(zip(described.names, described.values.tolist(), strict=True)))
     jumps = -(damping * of_jerk(motion))[:, None]
@@ -290,9 +303,10 @@ def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: A
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
-    """Return the torque (n, 5), N m, that rounding to counts adds; [] if it is small beside the residuals (n,).
+    """Return the torque (n, 5), N m, that rounding of the torque to counts adds; [] if it is small beside the residuals
+    (n,).
 
-    It is a sawtooth of the model's torque; noise leaves only its first harmonics.
+    Rounding adds a sawtooth of the model's torque; with noise, only the first harmonics of the sawtooth remain.
     """
     count = smallest_step(signals.as_read)
     if count**2 / 12.0 < _ROUNDED * float(np.var(residuals)):

@@ -1,4 +1,4 @@
-"""The exact optimum of a linear problem, or the error that none could be proven."""
+"""Solve a linear problem for its exact optimum, or raise the error that no optimum could be proven."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ Array = NDArray[np.float64]
 
 
 def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:
-    """Return the exact optimum of the blocks. positive: the indices of the parameters that are kept from negative
-    values.
+    """Return the exact optimum of the blocks. positive: the indices of the parameters that must not be negative.
 
     Raises Untrustworthy if no optimum could be proven.
     """

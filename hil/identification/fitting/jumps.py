@@ -1,9 +1,10 @@
-"""The error of the rate beside jumps of the acceleration, which a stepping command causes and no low-pass can show.
+"""Estimate the error of the rate beside jumps of the acceleration, which a stepping command causes and no low-pass can
+show.
 
 At a reading where the acceleration jumps, the true rate is lower than that of the band-limited motion through all
-readings, by a twelfth of the jump times the sampling period; halfway between two readings it is higher, by half as much
-(docs/rate.md). It is unknown when between two readings a drive takes its new set-point; an eighth is a value between
-these.
+readings, by a twelfth of the jump times the sampling period; halfway between two readings it is higher by half that
+amount (docs/rate.md). When a drive takes its new set-point between two readings is unknown; therefore an eighth, a
+value between these, is used.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ _BESIDE: Final = (
 
 
 def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
-    """Return the possible error of the rate of each sample (n,), rad/s, behind a low-pass.
+    """Return the possible error of the rate of each sample (n,), rad/s, of a low-passed motion.
 
-    command: the set-points of all samples of the motion, which step, or prescribe the motion. None if no low-pass was
-    applied or no command was recorded.
+    command: the set-points of all samples, which step, or prescribe the motion. None if no low-pass was applied or no
+    command was recorded.
     """
     whole, rows = motion.whole
     if whole.behind is None or command is None or len(whole) <= 2 * _LATEST or not np.ptp(command) > 0.0:

@@ -1,4 +1,4 @@
-"""The solution of one model: the genetic search, and the exact optimum beside it."""
+"""Solve one model for its parameters: by the genetic search, and exactly."""
 
 from __future__ import annotations
 
@@ -37,10 +37,11 @@ _TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap ta
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The settings of a search. bounds: the given ranges of parameters, SI, by name.
+    """The settings of a search.
 
-    trials: the number of independent searches; None: the paper's 30, or 5 for a model with nonlinear parameters.
-    checkpoint: a file that keeps the state of the search; if it exists, the search continues from it.
+    bounds: the given ranges of parameters, SI, by name. trials: the number of independent searches; None: the paper's
+    30, or 5 for a model with nonlinear parameters. checkpoint: a file that keeps the state of the search; if the file
+    exists, the search continues from that state.
     """
 
     preset: str = "default"
@@ -57,8 +58,8 @@ class Solution:
     """The result of the search and of the exact solution.
 
     values (p + q,): the exact solution. gap: the optimiser gap, relative. low and high (p + q,): the bounds of the
-    searched parameters, NaN for the others. columns (m, p + q): at the signals' samples. blocks: the linear problem
-    around the solution.
+    searched parameters, NaN for the others. columns (m, p + q): the linearised problem at the samples of the signals.
+    blocks: the linear problem around the solution.
     """
 
     values: Array
@@ -73,7 +74,7 @@ class Solution:
 
 
 def solve(data: Dataset, search: Search, progress: Progress | None) -> Solution:
-    """Search the parameters of the chosen model, and solve for its exact optimum.
+    """Search the parameters of the chosen model, and compute the exact optimum.
 
     Raises WrongUse if the requested search is impossible, and Untrustworthy if no optimum could be proven.
     """
@@ -93,7 +94,7 @@ def _linear(data: Dataset, search: Search, progress: Progress | None) -> Solutio
 
 
 def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
-    """Return the solution of a model with nonlinear parameters: these are searched, the linear ones solved for
+    """Return the solution of a model with nonlinear parameters: these are searched, the linear parameters are computed
     exactly.
     """
     model, motion = data.choice.model, data.signals.motion
@@ -128,10 +129,11 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solu
 
 
 def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, progress: Progress | None) -> Trials:
-    """Run the trials on the data, or on the reduced data if they do not fit in memory; the fitness is that of all data,
-    N m.
+    """Run the trials on the data, or on the reduced data if the data do not fit in memory; both have the fitness, N m,
+    of all data.
 
-    Raises WrongUse for a population that is too small, or a checkpoint of another search or that cannot be written.
+    Raises WrongUse for a population that is too small, a checkpoint of another search, or a checkpoint that cannot be
+    written.
     """
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)

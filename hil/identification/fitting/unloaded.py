@@ -1,11 +1,11 @@
 """Find the deflection at which the joint is unloaded: there the Kc of a spring that curves is defined.
 
-Three indicators of this place exist, and each can be wrong: the encoder's zero, if it was set there; the zero of the
-torque, if its reading has no offset; and the symmetry of the spring, if it is equal in both directions. Two that agree
-are believed, because they have no common cause of the same error. A single one is believed if it lies closer to the
-encoder's zero (or, if that is far away, to the torque's zero) than chance explains; Kc is then the stiffness anywhere
-between the two. Otherwise Kc is the stiffness at any place of the motion. Deflections count from the place found, so
-that Kc does not depend on an angle added to all readings.
+Three indicators of the unloaded deflection exist, and each can be wrong: the encoder's zero, if it was set there; the
+zero of the torque, if its reading has no offset; and the symmetry of the spring, if it is equal in both directions. Two
+indicators that agree are believed, because no common cause gives them the same error. A single indicator is believed if
+it lies closer to the encoder's zero (or, if that is far away, to the torque's zero) than chance explains; Kc is then
+the stiffness anywhere between the two. Otherwise Kc may be the stiffness at any deflection of the motion. Deflections
+count from the unloaded deflection, so that Kc does not depend on an angle added to all readings.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _RESOLVED = 1e-4  # of the torque's range, below which no disagreement changes a
 
 @dataclass(frozen=True, slots=True)
 class Unloaded:
-    """The unloaded place. reference: the encoder reading, rad, that deflections count from; 0 for the encoder's own
-    zero.
+    """The deflection at which the joint is unloaded.
 
-    low, high: the range, rad from there, in which the joint is unloaded. agreed: whether two indicators nearly agree.
+    reference: the encoder reading, rad, that deflections count from; 0 for the encoder's own zero. low, high: the range
+    of deflections, rad from `reference`, in which the joint is unloaded. agreed: whether two indicators nearly agree.
     """
 
     reference: float = 0.0
@@ -54,7 +54,8 @@ class Unloaded:
     def span(self, values: Mapping[str, float]) -> Span | None:
         """Return the smallest and the largest Kc, N m/rad, of a model with these values, SI, by name.
 
-        None for a spring that does not curve, for a model with its own unloaded place, and if the place is known.
+        None for a spring that does not curve, for a model with an unloaded deflection of its own, and if that
+        deflection is known.
         """
         curves = [values.get(name, 0.0) for name in ("Kp", "Kh", "K3", "K5")]
         if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
@@ -66,11 +67,12 @@ class Unloaded:
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
-        """Return the two stiffnesses, N m/rad, of a spring whose stiffness changes at a place that is not the unloaded
-        one.
+        """Return the two stiffnesses, N m/rad, of a spring whose stiffness changes at a deflection that is not the
+        unloaded one.
 
-        They are then not those of two directions from rest, and their mean describes nothing. None otherwise, and if
-        the unloaded place is unknown. values: see `span`; motion: the range of the deflection, rad.
+        The two are then not the stiffnesses in the two directions from rest, and their mean describes nothing. None for
+        other springs, and if the unloaded deflection is unknown. values: see `span`. motion: the range of the
+        deflection, rad.
         """
         if not {"Ka", "turn"} <= set(values) or not self.agreed:
             return None
@@ -86,10 +88,10 @@ Rest = Callable[[Signals], Unloaded]
 
 
 def rest_for(model: Coupling | None) -> Rest:
-    """Return the function that finds the unloaded place for a named model, or None if the model is to be selected.
+    """Return the function that finds the unloaded deflection for a model. model: None if the model is to be selected.
 
-    It returns the encoder's zero if a parameter counts from it, as those of gap and slack do, and those of a user's
-    model may. A model named without an offset states that the torque reading has none.
+    The function returns the encoder's zero if a parameter of the model counts from it: gap and slack do, and parameters
+    of a user's model may. A model named without an offset states that the torque reading has none.
     """
     if model is None:
         return unloaded
@@ -102,7 +104,7 @@ def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
     """Return where the joint is unloaded: at the encoder's zero, unless that is far away or the other indicators
     contradict it.
 
-    balanced: whether the torque is known to have no offset; then its zero needs no second indicator.
+    balanced: whether the torque is known to have no offset; then the zero of the torque needs no second indicator.
     """
     angle = signals.motion.dtheta
     middle = far_zero(angle)
@@ -127,8 +129,8 @@ def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
 
 
 def _agreeing(curve: _Curve, encoder: float | None, balance: float | None) -> list[float]:
-    """Return the places, rad, of the encoder's and the torque's zero that another indicator confirms, the encoder's
-    first.
+    """Return the deflections, rad, of the encoder's zero and of the torque's zero, in this order, that another
+    indicator confirms.
     """
     places = [place for place in (encoder, balance) if place is not None]
     if encoder is not None and curve.imbalance(encoder) <= curve.limit:
@@ -146,7 +148,8 @@ def _between(places: list[float], reference: float, *, agreed: bool) -> Unloaded
 class _Curve:
     """The static torque, N m, over the deflection, rad: a series with coefficients (p,) and their covariance (p, p).
 
-    scale: the range of the torque, N m. limit: from which squared deviation over its variance evidence is strong.
+    scale: the range of the torque, N m. limit: the ratio of squared deviation to variance above which evidence is
+    strong.
     """
 
     coefficients: Array
@@ -195,7 +198,9 @@ class _Curve:
 
 
 def _curve(signals: Signals) -> _Curve:
-    """Return the static torque beside damping and friction. Raises RuntimeError if these cannot be distinguished."""
+    """Return the static torque, fitted together with damping and friction. Raises RuntimeError if they cannot be
+    distinguished.
+    """
     for degree, more in pairwise(_DEGREES):
         richer = _fitted(signals, more)
         if (richer.coefficients**2 <= richer.limit * np.diag(richer.covariance))[degree + 1 :].all():

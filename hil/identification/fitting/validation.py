@@ -1,4 +1,4 @@
-"""Validation: the error of a fit on data that it was not made from."""
+"""Validate a fit: its error on data that it was not made from."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _FOLDS = 10  # blocks in time; every fifth is held out
 def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np.bool_]) -> Validation:
     """Fit 80 % of the samples and return the error on the other 20 %, in blocks of time.
 
-    blocks: the linear problem around the optimum, values (p + q,). distinct (p + q,): which parameters are fitted; the
-    others, which the data do not determine, keep their values. Raises Untrustworthy as `solved`.
+    blocks: the linear problem around the optimum. values (p + q,): the optimum. distinct (p + q,): which parameters are
+    fitted; the others keep their values, because the data do not determine them. Raises Untrustworthy as `solved`.
     """
 
     def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:

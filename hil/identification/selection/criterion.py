@@ -1,12 +1,13 @@
-"""Whether a term improves the score: its gain beyond chance, under the noise model of the recording.
+"""Decide whether a term improves the score: its gain beyond chance, under the noise model of the recording.
 
-The gain of a term is the likelihood ratio of a median regression (Koenker and Machado 1999: 4 f(0) times the fall of
-the sum of absolute residuals), divided by the factor by which the correlation of the residuals raises the variance of
-its parameters (`hil.uncertainty.residual_spectrum`), less log n for each parameter (Schwarz 1978) and the cost of
-choosing among many terms (Chen and Chen 2008). The term must also not predict held-out blocks clearly worse. A term
-with a break, whose likelihood ratio has no known distribution, must predict them better and have a large gain. The
-density f(0) and the correlation come from the residuals of the richest model, because the effect of a missing term must
-not be taken for noise.
+The gain of a term is computed in three steps. The likelihood ratio of a median regression is 4 f(0) times the fall of
+the sum of absolute residuals (Koenker and Machado 1999). It is divided by the factor by which the correlation of the
+residuals raises the variance of the term's parameters (`hil.uncertainty.residual_spectrum`). Then log n for each
+parameter (Schwarz 1978) and the cost of choosing among many terms (Chen and Chen 2008) are subtracted.
+
+The term must also not predict held-out blocks clearly worse. A term with a break, whose likelihood ratio has no known
+distribution, must predict them better and have a large gain. The density f(0) and the correlation come from the
+residuals of the richest model, because the effect of a missing term must not be treated as noise.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 
 STRONG = 10.0
 """The gain that a term with a break must exceed, because its chance distribution is unknown. If a term with a larger
-gain is rejected, the gain is not the reason.
+gain is rejected, the reason is another condition than the gain.
 """
 
 PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
@@ -43,10 +44,10 @@ _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what exp
 class Criterion:
     """The noise model of a recording, and the score of a term under it.
 
-    richest: terms of the model whose residuals are taken for the noise; signs (n,): the signs of these residuals;
-    fitted: how many lines of their spectrum the fit has removed from each band; density: of the residuals at zero, 1/(N
-    m). size: mean |torque|, N m. smooth (n,): where the rate is right. choices: the number of terms to choose from.
-    doubted: whether the common terms do not describe the recording.
+    richest: the terms of the model whose residuals are treated as noise. signs (n,): the signs of these residuals.
+    fitted: the number of lines of their spectrum that the fit has removed from each band. density: the probability
+    density of the residuals at zero, 1/(N m). size: mean |torque|, N m. smooth (n,): where the rate is right. choices:
+    the number of terms to choose from. doubted: whether models of common terms do not describe the recording.
     """
 
     richest: tuple[str, ...]
@@ -60,11 +61,11 @@ class Criterion:
     _correlations: dict[tuple[Candidate, str], float] = field(default_factory=dict, init=False)
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
-        """Return whether the term that the larger model has and the smaller one lacks improves the score.
+        """Return whether `term`, which only the larger model has, improves the score.
 
-        nearly: Akaike's criterion is enough, provided that held-out blocks are predicted clearly better. Held-out
-        prediction agrees with Akaike's criterion asymptotically (Stone 1977); where the two disagree, the difference is
-        small or chance.
+        nearly: whether Akaike's criterion is enough, provided that held-out blocks are predicted clearly better.
+        Held-out prediction agrees with Akaike's criterion asymptotically (Stone 1977); if the two disagree, the
+        difference is small or chance.
         """
         if smaller.fit.fitness < _EXPLAINED * self.size:
             return False
@@ -82,21 +83,25 @@ class Criterion:
         return gain > enough and self._pays_where_smooth(smaller, larger, term)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
-        """Return the gain beyond chance of the term that the larger model has and the smaller one lacks."""
+        """Return the gain beyond chance of `term`, which only the larger model has."""
         return self.weighed(smaller, larger, term)[0]
 
     def weighed(self, smaller: Candidate, larger: Candidate, term: str) -> tuple[float, float]:
-        """Return the gain of a term and its cost: the part subtracted from the likelihood ratio, twice the log odds."""
+        """Return the gain of a term, and its cost: the part subtracted from the likelihood ratio. Both are twice log
+        odds.
+        """
         alike, count = self.correlation(larger, term), len(self.signs)
         more = _more_parameters(smaller, larger)
         return self._gain(self.ratio(smaller, larger), count, alike, more), self._cost(count, alike, more)
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
-        """Return twice the difference of log likelihood, other model less one, for independent residuals."""
+        """Return twice the log likelihood of the model `other` less that of the model `one`, for independent
+        residuals.
+        """
         return self.gained(one.fit.fitness - other.fit.fitness)
 
     def gained(self, better: float) -> float:
-        """Return twice the difference of log likelihood for a fitness that is better by this much, N m."""
+        """Return twice the difference of log likelihood for a fitness that is better by `better`, N m."""
         return 4.0 * self.density * len(self.signs) * better
 
     def correlation(self, fitted: Candidate, term: str) -> float:
@@ -117,8 +122,10 @@ class Criterion:
         return found
 
     def _correlation(self, alone: Array) -> float:
-        """Return that factor for one parameter, from its column (n,) after projection; infinite if nothing remains of
-        it.
+        """Return the factor by which correlated residuals raise the variance of one parameter; infinite if its column
+        is zero.
+
+        alone (n,): the part of the parameter's column that is orthogonal to all other columns.
         """
         power = float(alone @ alone)
         if power <= 0.0:
@@ -128,22 +135,21 @@ class Criterion:
         return float(spectrum.by_bands[0, 0]) / power
 
     def blurred(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which a likelihood ratio is less certain, because of correlation and of errors of the
-        rate.
+        """Return the factor by which a likelihood ratio is less certain, because of correlated residuals and errors of
+        the rate.
 
-        An error of the rate lasts as long as the recording, however many samples see it: two models that differ by less
-        cannot be ranked.
+        An error of the rate lasts as long as the recording, so more samples do not reduce it: if the likelihoods of two
+        models differ by less than this error explains, the models cannot be ranked.
         """
         return self.correlation(fitted, term) + by_rate(len(self.signs), self.density, self.size)
 
     def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
-        """Return the plainest of several larger models that the data cannot rank; the last term of each improves the
-        score.
+        """Return the plainest of the larger models that the data cannot rank.
 
-        The models are compared by Schwarz's criterion for the number of independent samples, up to the difference that
-        is strong for terms whose distribution is unknown. A common term is plainer than a rare one, and an earlier one
-        in the table plainer than a later one. Held-out blocks decide between common terms that the likelihood cannot
-        rank.
+        paying: larger models whose last term improves the score. The models are compared by Schwarz's criterion for the
+        number of independent samples; a difference is decisive if it exceeds `STRONG`. A common term is plainer than a
+        rare one, and an earlier one in the table plainer than a later one. Held-out blocks decide between common terms
+        that the likelihood cannot rank.
         """
         alike = max(self.correlation(one, one.terms[-1]) for one in paying)
         count = max(len(self.signs) / alike, math.e)
@@ -155,7 +161,9 @@ class Criterion:
         return plainest
 
     def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
-        """Return whether the data cannot rank a plainer model below another one, by the same comparison."""
+        """Return whether the plainer model is not clearly less likely than the other, by the comparison in
+        `likeliest`.
+        """
         alike = max(self.correlation(one, one.terms[-1]) for one in (plainer, other))
         if math.isinf(alike):  # a term that does nothing says nothing of the others
             return False
@@ -187,12 +195,17 @@ class Criterion:
 
 
 def by_rate(count: int, density: float, size: float) -> float:
-    """Return by how much errors of the rate blur the likelihood of `count` samples; arguments: see `Criterion`."""
+    """Return the factor, beyond one, by which errors of the rate make the likelihood of `count` samples less certain.
+
+    density, size: see `Criterion`.
+    """
     return count * (2.0 * density * _EXPLAINED * size) ** 2
 
 
 def density_at_zero(residuals: Array, least: float) -> float:
-    """Return the density of residuals (n,), N m, at zero, 1/(N m). least: the step, N m, to which they are rounded."""
+    """Return the probability density of residuals (n,), N m, at zero, 1/(N m). least: the step, N m, to which they are
+    rounded.
+    """
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
     near = max(near, least)
     inside = np.count_nonzero(np.abs(residuals) <= near)
@@ -202,9 +215,9 @@ def density_at_zero(residuals: Array, least: float) -> float:
 def criterion_of(
     fits: Fits, considered: tuple[str, ...], start: tuple[str, ...], *, doubted: bool = False
 ) -> Criterion:
-    """Return the criterion for the terms considered. start: the terms that the richest model has in any case.
+    """Return the criterion for the terms considered. start: the terms that the richest model always contains.
 
-    The residuals of the richest model are taken for the noise: those of a smaller model would contain missing terms.
+    The residuals of the richest model are treated as noise: those of a smaller model would contain missing terms.
     """
     richest = _richest(fits, considered, start)
     columns, residuals = fits.linearised(richest)
@@ -222,21 +235,21 @@ def criterion_of(
 
 
 def _more_parameters(smaller: Candidate, larger: Candidate) -> int:
-    """Return how many more parameters a model has than another; a law that replaces a plainer one shares its
-    parameters.
-    """
+    """Return how many more parameters the larger model has than the smaller one, at least 1."""
     return max(1, len(larger.model.parameters) - len(smaller.model.parameters))
 
 
 def _predicts_better(one: Candidate, other: Candidate) -> float:
-    """Return by how many standard errors over the blocks one model predicts held-out blocks better than another."""
+    """Return by how many standard errors model `one` predicts held-out blocks better than model `other`."""
     better = other.held_out - one.held_out
     mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)
     return mean / error if error > 0.0 else math.copysign(math.inf, mean)
 
 
 def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:
-    """Return all terms that lower the fitness one after the other, the better one of two that exclude each other."""
+    """Return all terms that lower the fitness when added one after the other; of two terms that exclude each other, the
+    better one.
+    """
     found = [start]  # in an order that does not depend on hashes: some fits are equally good
     for term in considered:
         for terms in tuple(found):
@@ -249,14 +262,14 @@ def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) ->
 
 
 def _has_rivals(term: str, considered: tuple[str, ...]) -> bool:
-    """Return whether one of the terms considered is excluded by this term."""
+    """Return whether this term and one of the terms considered exclude each other."""
     return bool(TERMS[term].excludes) or any(term in TERMS[other].excludes for other in considered)
 
 
 def _is_distinct(fitted: Candidate, term: str) -> bool:
-    """Return whether the term can be distinguished from the others: in slow motion a skew equals a damping.
+    """Return whether the term can be distinguished from the others (in slow motion a skew cannot: it equals a damping).
 
-    Its parameters need not be distinguishable from each other: the relaxation time of a branch may be visible while its
-    stiffness is not.
+    The term's own parameters need not be distinguishable from each other: the relaxation time of a branch may be
+    visible while its stiffness is not.
     """
     return any(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))

@@ -1,4 +1,4 @@
-"""Fits of models to one recording: to a subset of its samples as a preview, to all samples, and to held-out blocks."""
+"""Fit models to one recording: to a subset of its samples as a preview, to all samples, and to held-out blocks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ LATE = ("skew", "lag")
 """The terms that delay the torque reading."""
 
 FOLDS = 10
-"""The number of blocks in time; two at a time are held out."""
+"""The number of blocks in time into which held-out validation divides a recording; two blocks at a time are held
+out.
+"""
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 _ALIKE = 1e-9  # of a fitness, within which two are the same
@@ -31,9 +33,10 @@ _OUTERMOST = 6.0  # standard deviations from the outermost reading, within which
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A model's fit to all samples. held_out (FOLDS,): the errors, N m, of blocks, from fits that did not see them.
+    """A model and its fit to all samples.
 
-    error: standard deviation of the error of the deflection, rad.
+    held_out (FOLDS,): the errors, N m, of blocks, each from a fit without that block. error: standard deviation of the
+    errors of the deflection, rad.
     """
 
     terms: tuple[str, ...]
@@ -45,12 +48,12 @@ class Candidate:
 
     @property
     def stiffness(self) -> float:
-        """Kc, N m/rad."""
+        """The stiffness Kc, N m/rad."""
         return float(self.fit.optimum.genes[0])
 
     @property
     def damping(self) -> float:
-        """Bc, N m s/rad."""
+        """The damping Bc, N m s/rad."""
         return float(self.fit.optimum.genes[1])
 
     @property
@@ -64,19 +67,21 @@ class Candidate:
         return self.model.anchored(self.problem.motion)
 
     def on(self, rows: NDArray[np.bool_]) -> Candidate:
-        """Return the fit to some of the samples (n,), at the nonlinear parameters of the fit to all."""
+        """Return the fit to the samples `rows` (n,) only, at the nonlinear parameters of the fit to all samples."""
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
 
     def is_worse_than_contained(self, smaller: Candidate) -> bool:
-        """Return whether the fit is worse than that of a model it contains: its search ended too early."""
+        """Return whether this fit is worse than that of a smaller model that it contains: then the search ended too
+        early.
+        """
         is_contained = set(smaller.values) < set(self.values)
         return is_contained and smaller.fit.fitness < (1.0 - _ALIKE) * self.fit.fitness
 
     @property
     def columns(self) -> Array:
-        """Return the columns (n, p + q) of the problem linearised at the fit; they take many megabytes and are not
-        kept.
+        """Return the columns (n, p + q) of the problem linearised at the fit. They are computed at each call, to save
+        memory.
         """
         return self.problem.linearised(self.fit)[0]
 
@@ -100,7 +105,7 @@ class Candidate:
             yield column, column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
 
     def is_possible(self, *terms: str) -> bool:
-        """Return whether these terms are physically possible and the data reject none of them."""
+        """Return whether the terms are physically possible and none of their parameters is at an end of its bounds."""
         return not any(self.is_at_end(term) or self.is_impossible(term) for term in terms)
 
     def is_at_end(self, term: str) -> bool:
@@ -112,9 +117,9 @@ class Candidate:
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
 
     def is_impossible(self, term: str) -> bool:
-        """Return whether a parameter of the term is at zero because it would be negative, as friction cannot be.
+        """Return whether a parameter of the term is held at zero because the data give it an impossible negative value.
 
-        A skew can be negative, unless it only undoes a part of the lag beside it.
+        Friction, for example, cannot be negative. A skew can be, unless it only undoes a part of the lag beside it.
         """
         values = self.values
         at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
@@ -122,9 +127,9 @@ class Candidate:
         return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
-        """Return whether a gap is no larger than the errors of the outermost readings.
+        """Return whether the motion reaches beyond a gap by no more than the errors of the outermost readings.
 
-        Where the joint rests, a gap fits the errors of the readings there; that is no evidence of a gap.
+        If the joint rests there, a gap fits the errors of the readings at rest; that is no evidence of a gap.
         """
         if not {"gap", "slack"}.intersection(own(term)):
             return False
@@ -146,10 +151,10 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """A recording and the models fitted to it so far, each of them once.
+    """A recording and the models fitted to it so far; each model is fitted only once.
 
-    motion: (n,). torque: (n,) N m. highest: the frequency up to which the joint moved, Hz. window: the window that its
-    rate was computed in, if known.
+    motion: the motion (n,). torque (n,): N m. highest: the frequency up to which the joint moved, Hz. window: the
+    window from which the rate was computed, if known.
     """
 
     motion: Motion
@@ -163,7 +168,9 @@ class Fits:
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
-        """Return where (n,) the rate hardly depends on the window that it is computed in; beside a jerk it does."""
+        """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it
+        does depend on it.
+        """
         return is_smooth(self.motion, self.window)
 
     @property
@@ -185,12 +192,16 @@ class Fits:
         return self._previews[unordered]
 
     def fitness(self, terms: tuple[str, ...]) -> float:
-        """Return the fitness, N m, on a subset of the samples; infinite if the columns are nearly collinear."""
+        """Return the fitness, N m, of the model of these terms on a subset of the samples; infinite if its columns are
+        nearly collinear.
+        """
         seen = self.preview(terms)
         return seen.fitness if seen else np.inf
 
     def is_rejected(self, terms: tuple[str, ...]) -> bool:
-        """Return whether the preview alone moves the last of the terms to an end of its bounds, or makes it a stop."""
+        """Return whether the preview already rejects the last term: a parameter is at an end of its bounds, or the term
+        is a stop.
+        """
         problem, seen = self._problem(terms), self.preview(terms)
         if seen is None:
             return True
@@ -198,9 +209,10 @@ class Fits:
         return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
 
     def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
-        """Return the model of these terms, fitted to all samples. beside: a fit with similar nonlinear parameters.
+        """Return the model of these terms, fitted to all samples. beside: a fit whose nonlinear parameters the search
+        tries too.
 
-        Raises RuntimeError if its columns are nearly collinear.
+        Raises RuntimeError if the columns are nearly collinear.
         """
         near, known = _named(beside.model, beside.fit) if beside else {}, self._fitted.get(terms)
         if known is None:
@@ -214,7 +226,8 @@ class Fits:
         return self._fitted[terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
-        """Return the fit with this value, SI, of the last term's own nonlinear parameter; no blocks are held out.
+        """Return the fit of these terms with the nonlinear parameter of the last term fixed at `value`, SI; no blocks
+        are held out.
 
         smaller: the fit without that term, whose nonlinear parameters are kept. Raises RuntimeError as `Problem.solve`.
         """
@@ -231,8 +244,10 @@ class Fits:
         return self._errors[found]
 
     def linearised(self, terms: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return columns (n, p) and residuals (n,), N m, at the local minimum, over all samples, nearest the
-        preview.
+        """Return columns (n, p) and residuals (n,), N m, of the model of these terms at a local minimum over all
+        samples.
+
+        The local minimum is the one nearest the preview.
         """
         problem, seen = self._problem(terms), self.preview(terms)
         found = descend(problem, seen.nonlinear if seen else problem.low)
@@ -253,8 +268,9 @@ def own(term: str) -> tuple[str, ...]:
 
 
 def _held_out(problem: Problem, found: Fit) -> Array:
-    """Return the mean error, N m, of each block in time under a fit to the others, at the nonlinear parameters of
-    all.
+    """Return the mean error, N m, of each block in time under a fit to the other blocks.
+
+    found: the fit to all samples, whose nonlinear parameters are used.
     """
     thin = problem.thinned()
     block = np.arange(len(thin.torque)) * FOLDS // len(thin.torque)

@@ -1,9 +1,9 @@
-"""A drive that holds each set-point until the next one: its effect on the rate, and what that effect looks like.
+"""The effect on the rate of a drive that holds each set-point until the next one.
 
 The acceleration of a second-order drive jumps when it takes a new set-point. If it takes one at each reading, the rate
 there is lower than that of the smooth motion through all readings, by a twelfth of the jump times the time step. No
-window and no low-pass can show this, because the readings lie on the smooth motion. In the torque it looks like less
-damping, and like a delay of a few hundredths of a tick.
+window and no low-pass can show this, because the readings lie on the smooth motion. In the torque the lower rate looks
+like less damping, and like a delay of a few hundredths of a tick.
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ _MOST = 0.1  # of the rate, that a drive which the readings still follow takes o
 
 
 def of_jerk(motion: Motion) -> Array:
-    """Return the part of the rate (n,), rad/s, that is lost in proportion to the jerk where set-points are held.
+    """Return the part of the rate error (n,), rad/s, that is proportional to the jerk, where set-points are held.
 
     With c the set-point of a second-order drive of natural frequency w (rad/s) and damping ratio z, the jump of the
-    acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The rate therefore lacks h^2/12
-    (w^2 v + 2 z w a + j), of which the last part is known.
+    acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The true rate is therefore lower
+    by h^2/12 (w^2 v + 2 z w a + j), of which only the last part is known.
     """
     return TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
 
 
 def taken_off(motion: Motion, frequency: float) -> Array | None:
-    """Return the rate (n,), rad/s, that a motion loses behind a drive of that natural frequency, Hz; see `of_jerk`.
+    """Return the difference (n,), rad/s, between the computed rate and the true rate behind a drive of this natural
+    frequency, Hz.
 
-    None if the loss is so large that the readings would not follow the drive.
+    See `of_jerk`. None if the difference is so large that the readings would not follow the drive.
     """
     speed = 2.0 * np.pi * frequency * _step(motion)  # w h
     if TWELFTH * speed**2 > _MOST:
@@ -53,5 +54,7 @@ def _step(motion: Motion) -> float:
 
 
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:
-    """Return the slope of the torque over the rate, N m s/rad, at rates (n,), rad/s. values: the parameters by name."""
+    """Return the slope of the torque over the rate, N m s/rad, at rates (n,), rad/s. values: the model's parameters by
+    name.
+    """
     return values.get("Bc", 0.0) + 2.0 * values.get("B2", 0.0) * np.abs(rate)

@@ -1,4 +1,4 @@
-"""Causes of a delayed torque reading: a skew, a lag of the cell, an inertia, or a branch that relaxes fast."""
+"""Find the cause of a delayed torque reading: a skew, a lag of the cell, an inertia, or a branch that relaxes fast."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hil.uncertainty.model_average import AKAIKE
 Array = NDArray[np.float64]
 
 EARLIER: Final = (*LATE, "inertia")
-"""The terms by which a torque reading may be delayed, or may seem to be early."""
+"""The terms that can delay the torque reading, or make it seem early."""
 
 _STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
 _BRANCHES = ("maxwell", "maxwell2")  # each needs those before it
@@ -40,10 +40,10 @@ _APART = 2.0 * math.log(3.0)  # the same of a motor's torque, which another devi
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A model that may replace the selected one: its nonlinear parameters (q,), SI, and its difference of Akaike's
-    criterion.
+    """A model that may replace the selected one.
 
-    The difference is to the selected model. usual_skew: whether its skew is no larger than that of every recorder.
+    nonlinear (q,): its nonlinear parameters, SI. criterion: its Akaike criterion less that of the selected model.
+    usual_skew: whether its skew is no larger than that of every recorder.
     """
 
     model: CouplingModel
@@ -54,10 +54,10 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class Lateness:
-    """Kc and Bc, SI, for a torque reading with one delay.
+    """Kc and Bc, SI, if the torque reading has one particular delay.
 
-    spread: standard deviation of Bc, SI, over the delays that this one represents. criterion: twice the log odds
-    against it.
+    spread: standard deviation of Bc, SI, over the delays that this delay represents. criterion: twice the log odds
+    against this delay.
     """
 
     Kc: float
@@ -68,14 +68,16 @@ class Lateness:
 
 @dataclass(frozen=True, eq=False)
 class LateReading:
-    """A recording whose torque reading may be delayed; accounts: the terms that can cause it, out of `EARLIER`."""
+    """A recording whose torque reading may be delayed. accounts: the terms of `EARLIER` that are considered as its
+    cause.
+    """
 
     fits: Fits
     criterion: Criterion
     accounts: tuple[str, ...] = ()
 
     def instead_of_branch(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag in place of its branch if that fits equally well.
+        """Return the model with a lag in place of its branch if the lag fits equally well; else the chosen model.
 
         A branch without a parallel damper has the same response as a lag, which has one parameter less.
         """
@@ -89,7 +91,9 @@ class LateReading:
         return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
 
     def instead_of_skew(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag or an inertia in place of its skew if that fits clearly better."""
+        """Return the model with a lag or an inertia in place of its skew if that fits clearly better; else the chosen
+        model.
+        """
         gains = {}
         others = [one for one in self.accounts if one not in chosen.terms] if "skew" in chosen.terms else []
         for one in others:
@@ -101,9 +105,10 @@ class LateReading:
         return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the models with a skew, a lag of the cell, both, or an inertia, in place of the model's own or none.
+        """Return the models with a skew, a lag of the cell, both, or an inertia. They replace the one that the model
+        has, if any.
 
-        In slow motion each of these equals a damping: a model without one may fit well and still have the wrong
+        In slow motion each of these equals a damping: a model without one of them may fit well and still have the wrong
         damping.
         """
         found = self._others(chosen) if "mean" not in chosen.terms else []
@@ -118,9 +123,9 @@ class LateReading:
     def _with_the_skew_of_a_recorder(self, chosen: Candidate) -> tuple[Alternative, ...]:
         """Return the model with the skew of an ordinary recorder.
 
-        Nine benches of ten have a skew of that standard deviation p; chance and correlated noise can make the fitted
-        one longer. With the fitted skew s and its standard error e, this model is likelier by the part of s^2/e^2 that
-        p leaves.
+        Nine benches of ten have a skew with that standard deviation, p; chance and correlated noise can make the fitted
+        skew longer. With the fitted skew s and its standard error e, twice the log likelihood of this model is higher
+        than without a skew by the part of s^2/e^2 that a skew of size p explains.
         """
         others = tuple(term for term in chosen.terms if term != "skew")
         if len(others) == len(chosen.terms) or {"lag", "mean"}.intersection(others):
@@ -137,13 +142,14 @@ class LateReading:
         return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
 
     def lateness(self, chosen: Candidate) -> tuple[Lateness, ...]:
-        """Return Kc and Bc for each likely delay and lag if the model has neither, and for each branch in their place.
+        """Return Kc and Bc for each likely cause of delay.
 
-        In slow motion the data hardly determine the delay: the best fit may be far from the truth, early, or at a
-        bound. Therefore every likely delay is fitted and weighted by its likelihood. Before the data are seen, one
+        If the model has neither a delay nor a lag, these are each likely delay and lag; otherwise each branch in their
+        place. In slow motion the data hardly determine the delay: the best fit may be far from the truth, early, or at
+        a bound. Therefore every likely delay is fitted and weighted by its likelihood. Before the data are seen, one
         bench in ten has a delay of up to `LONGEST_SKEW` ticks, and one in ten a cell with a bandwidth out of `CELLS`,
         each octave equally likely. For torques with an inertia, which hides the effect of a delay in fast motion, one
-        in three has each.
+        bench in three has each.
         """
         try:
             if set(LATE).intersection(chosen.terms):
@@ -153,7 +159,7 @@ class LateReading:
             return ()
 
     def _late(self, chosen: Candidate) -> Iterator[Lateness]:
-        """Yield Kc and Bc for each likely delay, lag and drive, for a model without a skew."""
+        """Yield Kc and Bc for each likely delay, lag and drive. chosen: a model without a skew."""
         if {*LATE, "mean"}.intersection(chosen.terms):
             return
         longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
@@ -169,7 +175,10 @@ class LateReading:
             yield from self._behind_any_drive(chosen, usual)
 
     def _instead_of_the_skew(self, chosen: Candidate) -> Iterator[Lateness]:
-        """Yield Kc and Bc if held set-points and not a skew cause the apparent delay; one bench in ten has either."""
+        """Yield Kc and Bc for the case that held set-points, and not a skew, cause the apparent delay.
+
+        One bench in ten has held set-points, and one in ten a skew.
+        """
         others = tuple(term for term in chosen.terms if term != "skew")
         without = self._with(others) if len(others) < len(chosen.terms) else None
         if without is not None and not {"lag", "mean"}.intersection(others):
@@ -177,10 +186,10 @@ class LateReading:
             yield from self._behind_any_drive(without, lost - AKAIKE)
 
     def _behind_any_drive(self, fitted: Candidate, rare: float) -> Iterator[Lateness]:
-        """Yield Kc and Bc behind held set-points, for each likely drive. rare: twice the log odds against any of them.
+        """Yield Kc and Bc behind held set-points, for each likely drive.
 
-        fitted: the model without a skew. The rate that a drive takes off looks like a delay of a few hundredths of a
-        tick, and in slow motion like less damping.
+        fitted: the model without a skew. rare: twice the log odds against any of the drives. The rate error behind a
+        drive looks like a delay of a few hundredths of a tick, and in slow motion like less damping.
         """
         if "skew" not in self.accounts or "inertia" in fitted.terms or not fitted.damping > 0.0:
             return
@@ -202,16 +211,17 @@ class LateReading:
     def _damping(self, fitted: Candidate) -> Array:
         """Return the damping (n,), N m s/rad, at each sample.
 
-        It is zero where the damper does not act, such as inside a gap.
+        The damping is zero where the damper does not act, such as inside a gap.
         """
         rate = self.fits.motion.dtheta_dot
         return np.where(np.isclose(fitted.columns[:, 1], rate), damping_at(rate, fitted.values), 0.0)
 
     def _with_usual_skew(self, chosen: Candidate) -> float:
-        """Return twice the log likelihood that the model gains with the skew of an ordinary recorder.
+        """Return the increase of twice the log likelihood if the model gets the skew of an ordinary recorder.
 
-        The log likelihood is approximated by a parabola in the skew, through zero and one skew of each sign: that of an
-        ordinary recorder first, and then a shorter one if the data determine it much better.
+        The log likelihood is approximated by a parabola in the skew, through three points: zero and one skew of each
+        sign. The size of the skew is that of an ordinary recorder first, and then a shorter one if the data determine
+        it much better.
         """
         usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
         if "skew" not in self.accounts or not is_addable("skew", chosen.terms):
@@ -227,7 +237,11 @@ class LateReading:
         return float(0.25 * slope**2 / (bend + 1.0 / share) - math.log1p(bend * share))
 
     def _late_by(self, chosen: Candidate, term: str, times: Array, rare: float) -> Iterator[Lateness]:
-        """Yield Kc and Bc for each delay (m,), s, shortest first, until one is impossible or too unlikely."""
+        """Yield Kc and Bc for each delay in `times` (m,), s, shortest first, until a delay is impossible or too
+        unlikely.
+
+        term: the term whose parameter is the delay. rare: twice the log odds against it.
+        """
         blurred, before = 0.0, chosen.damping
         for time in times.tolist():
             late = self.fits.with_value((*chosen.terms, term), chosen, time)
@@ -240,20 +254,23 @@ class LateReading:
             before = late.damping
 
     def _ratio_when_settled(self, chosen: Candidate, late: Candidate, time: float) -> float:
-        """Return `Criterion.ratio` of the samples by which a lag of that time, s, has settled in each piece.
+        """Return `Criterion.ratio` of the samples at which a lag of that time, s, has settled in each piece.
 
-        The unknown state at the beginning of a piece adds a large residual there that says nothing about a lag.
+        The unknown state at the beginning of a piece adds a large residual there, which is no evidence for or against a
+        lag.
         """
         settled = self.fits.motion.elapsed > FORGOTTEN * time
         less = np.abs(chosen.problem.residuals(chosen.fit)) - np.abs(late.problem.residuals(late.fit))
         return float(4.0 * self.criterion.density * less[settled].sum())
 
     def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
-        """Return the likelihood ratio of the other model, divided by the factor by which it is less certain."""
+        """Return the likelihood ratio of model `other` to model `one`, divided by the factor by which correlated
+        residuals make it less certain.
+        """
         return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
 
     def _others(self, chosen: Candidate) -> list[Candidate]:
-        """Return the models with each cause of a delayed torque reading, the chosen model among them."""
+        """Return the models with each cause of a delayed torque reading, including the chosen model."""
         others = tuple(term for term in chosen.terms if term not in self.accounts)
         seen = len(others) < len(chosen.terms)  # else each likely time counts, and not the best one
         accounts = [(*others, term) for term in self.accounts if seen or term not in LATE]
@@ -271,8 +288,9 @@ class LateReading:
         return found
 
     def _akaike(self, chosen: Candidate, one: Candidate, alike: float) -> float:
-        """Return Akaike's criterion of a model less that of the chosen one; alike: the factor by which it is less
-        certain.
+        """Return Akaike's criterion of model `one` less that of the chosen model.
+
+        alike: the factor by which correlated residuals make the likelihood less certain.
         """
         better = chosen.fit.fitness - self._without_errors(one, chosen.fit.fitness)
         return (
@@ -282,10 +300,10 @@ class LateReading:
         )
 
     def _without_errors(self, one: Candidate, least: float) -> float:
-        """Return the fitness, N m, of a model without the errors that its inertia takes from the acceleration, at least
-        `least`.
+        """Return the fitness, N m, of a model without the errors of the acceleration that its inertia multiplies; at
+        least `least`.
 
-        A skew adds no such errors, so without this correction it would fit better even where there is an inertia.
+        A skew adds no such errors, so without this correction a skew would fit better even if there is an inertia.
         """
         errors = one.values.get("J", 0.0) * self.fits.errors[2]
         left = one.fit.fitness**2 - 2.0 / math.pi * errors**2
@@ -295,10 +313,10 @@ class LateReading:
         """Yield Kc and Bc for each branch that relaxes faster than the joint moved, in place of a delayed torque.
 
         Both stiffen fast motion, and the branch also damps. In slow motion only the stiffening K1 tau1^2 shows: each
-        time constant up to the shortest period is fitted, and each half octave is equally likely. One joint in ten has
-        such a branch; a delay longer than a recorder's is as rare, and so is a delay beside a branch, since what
-        relaxes at one speed may relax at two. No branch is much stiffer than Kc, and none stands alone: without a
-        parallel damper it equals a lag.
+        time constant up to the shortest period of the motion is fitted, and each half octave is equally likely. One
+        joint in ten has such a branch. A delay longer than a recorder's is as rare; so is a delay beside a branch,
+        because a joint that relaxes at one speed may relax at two. No branch is much stiffer than Kc, and none exists
+        without a parallel damper: it would equal a lag.
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
         late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
@@ -321,7 +339,9 @@ class LateReading:
             before = branch.damping
 
     def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
-        """Return the model of these terms; None if its skew or lag is outside its bounds."""
+        """Return the model of these terms; None if its skew or lag is outside its bounds. beside: a fit to start the
+        search from.
+        """
         if self.fits.fitness(terms) == np.inf:
             return None
         found = self.fits.candidate(terms, beside)
@@ -330,17 +350,21 @@ class LateReading:
 
 
 def _last_branch(terms: tuple[str, ...]) -> str:
-    """Return the last of the branches among the terms without which the others are a model; "" if there is none."""
+    """Return the last branch in the terms that can be removed so that the other terms are still a model; "" if there is
+    none.
+    """
     return next((branch for branch in reversed(_BRANCHES) if branch in terms), "")
 
 
 def _deeper(found: Candidate) -> Candidate:
-    """Return a fit of terms that are nearly collinear: roughly on a subset of the samples, then on all."""
+    """Return a fit of terms that are nearly collinear: a rough search on a subset of the samples, then a fit to all
+    samples.
+    """
     rough = polished(found.problem.thinned(), found.fit)
     near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=2.0)
     return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
 
 
 def _replaced(terms: tuple[str, ...], one: str, other: str) -> tuple[str, ...]:
-    """Return the terms with one replaced by another."""
+    """Return the terms with the term `one` replaced by `other`."""
     return tuple(other if term == one else term for term in terms)

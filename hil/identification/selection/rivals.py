@@ -1,4 +1,4 @@
-"""The terms that the data cannot decide on, and the values of Kc and Bc with them."""
+"""Find the terms that the data cannot decide on, and the values of Kc and Bc with these terms."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _GAUSSIAN = math.pi / 2.0  # power of noise by the square of its mean size
 def beside_doubtful_terms(
     fit: LackOfFit | None, steps: tuple[Step, ...], found: tuple[Estimate, ...]
 ) -> LackOfFit | None:
-    """Return the result of the lack-of-fit tests, with doubtful terms counted in the size of the misfit.
+    """Return the result of the lack-of-fit tests, its size increased by the effect of doubtful terms on Kc and Bc.
 
-    A term is doubtful if it explains less of the torque than the misfit: it may be explaining a part of the same
+    A term is doubtful if it explains less of the torque than the misfit: the term may explain a part of the same
     effect.
     """
     if fit is None or not fit.misfit:
@@ -45,9 +45,9 @@ def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[t
     """Return the estimates, their intervals widened to include each undecided rare term, and a diagnostic for each
     term.
 
-    Model averages weigh common terms by their odds; rare terms are not in them. A parameter gets an error, and keeps
-    its interval, if an interval that includes all these values is wider than allowed, or if the evidence is strong for
-    a common term that could not be included.
+    Model averages weigh common terms by their odds, but do not contain rare terms. A parameter gets an error, and keeps
+    its interval, in two cases: the interval that includes all these values is wider than allowed, or the evidence is
+    strong for a common term that could not be included.
     """
     undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
     pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]

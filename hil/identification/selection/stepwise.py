@@ -1,7 +1,7 @@
-"""Model selection by forward steps: a term is included as long as it improves the score.
+"""Select a model by forward steps: a term is included as long as it improves the score.
 
-Each step adds, of the terms that improve the score (`hil.identification.selection.criterion`), the one that predicts
-held-out blocks best. Terms that no longer improve it are removed.
+Each step compares the terms that improve the score (`hil.identification.selection.criterion`) and adds the one that
+predicts held-out blocks best. Terms that no longer improve the score are removed.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ _STIFFER = 2.0  # times Kc, with which errors of the deflection show in the torq
 class Step:
     """One model of the selection, and the gain of its last term.
 
-    fitness: N m, of all samples. held_out: N m, of blocks that the fit did not see. gain: by how much the criterion
-    falls for `term`, in units in which chance gives less than zero; NaN for the first. Kc, Bc: SI. included: whether
-    the term is in the selected model. cost: twice the log odds against the term before the data are seen.
+    model: the model's name. term: its last term. fitness: mean |error| of all samples, N m. held_out: mean |error| of
+    blocks that the fit did not see, N m. gain: the gain in score by `term` beyond chance, NaN for the first model. Kc,
+    Bc: their values, SI. included: whether the term is in the selected model. cost: twice the log odds against the term
+    before the data are seen.
     """
 
     model: str
@@ -67,7 +68,7 @@ class Selection:
 
     @cached_property
     def residuals(self) -> Array:
-        """Return the residuals (n,) of its fit, N m."""
+        """Return the residuals (n,) of the selected model's fit, N m."""
         return self.chosen.problem.residuals(self.chosen.fit)
 
     @cached_property
@@ -82,12 +83,14 @@ class Selection:
 
     @property
     def delay(self) -> float:
-        """Return by how much the torque reading is older than that of the angle, s; 0 without a term for it."""
+        """Return the age of the torque reading less that of the angle reading, s; 0 if the model has no term for a
+        delay.
+        """
         return self.model.delay(self.chosen.fit.nonlinear)
 
     @cached_property
     def steps(self) -> tuple[Step, ...]:
-        """Return the steps up to the model, then one for each rejected term on top of it."""
+        """Return the steps that led to the model, then a step for each rejected term, added to the model."""
         return self.searched.to(self.chosen) if self.searched else ()
 
     @cached_property
@@ -97,7 +100,7 @@ class Selection:
 
     @cached_property
     def lateness(self) -> tuple[Lateness, ...]:
-        """Return Kc and Bc for each likely delay of the torque reading, if the model has none."""
+        """Return Kc and Bc for each likely delay of the torque reading; see `LateReading.lateness`."""
         return self.late.lateness(self.chosen) if self.late else ()
 
 
@@ -113,13 +116,14 @@ def select(
     sticks: Callable[[Selection], bool] = lambda _selection: False,
     window: Window | None = None,
 ) -> Selection:
-    """Return the model for motion (n,) and torque (n,), N m. highest: the frequency up to which the joint moved, Hz.
+    """Return the model for motion (n,) and torque (n,), N m.
 
-    describes: a function that says whether a model describes the recording; its second argument allows it to lack the
-    small effects of every bench. If no model of common terms does, rare terms are considered too. sticks: whether
-    friction holds the joint in some samples; then no rare terms are considered, because a model will be selected from
-    the other samples. accounts: the terms by which the torque may be delayed or seem to be. window: that the rate was
-    computed in, if known. Raises RuntimeError if not even the smallest model can be fitted.
+    highest: the frequency up to which the joint moved, Hz. terms: the common terms. rarer: rare terms, which are
+    considered only if no model of common terms describes the recording. accounts: the terms that may make the torque
+    reading late or early. describes: a function that returns whether a model describes the recording; its second
+    argument allows the model to lack the small effects of every bench. sticks: whether friction holds the joint in some
+    samples; then no rare terms are considered, because a model will be selected from the other samples. window: the
+    window from which the rate was computed, if known. Raises RuntimeError if not even the smallest model can be fitted.
     """
     fits, smallest = Fits(motion, torque, highest, window), _smallest(terms)
     noise = criterion_of(fits, terms, smallest)
@@ -145,12 +149,13 @@ def select(
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """The steps among the terms considered; compared: the number of terms from which the best is chosen.
+    """The search for a model by steps among the terms considered.
 
-    rare: those of them that are considered because no model without them describes the recording. is_enough: whether a
-    model with one of them does. Further terms would then be fitted to errors of the deflection, rad, and rate, rad/s,
-    which a filter or a delay removes, and the lack-of-fit tests leave out samples that could show others. beside: terms
-    that no step includes, and that the chosen model is compared with. passed: the models that the steps passed.
+    compared: the number of terms from which each step chooses the best one. rare: rare terms, considered because no
+    model without them describes the recording. is_enough: a function that returns whether a model with a rare term
+    describes the recording. Further rare terms would then be fitted to errors of deflection and rate, and the
+    lack-of-fit tests leave out samples that could show such terms. beside: terms that no step includes, but with which
+    the chosen model is compared. passed: the models that the steps included on the way.
     """
 
     fits: Fits
@@ -164,9 +169,10 @@ class _Steps:
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
 
     def with_rarer(self, likely: tuple[str, ...], rarer: tuple[str, ...]) -> _Steps:
-        """Return the steps among the common terms and the likely ones of the rare terms.
+        """Return the steps among the common terms and those of the rare terms that are likely.
 
-        The included terms may have hidden a small common one, and a linear term costs no time to fit.
+        likely: these rare terms. rarer: all rare terms; the linear ones among them are compared with the chosen model,
+        because a linear term costs no time to fit.
         """
         likely = tuple(dict.fromkeys(likely))
         considered = (*(term for term in self.considered if term not in self.rare), *likely)
@@ -175,7 +181,7 @@ class _Steps:
         return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, small)
 
     def forward(self, chosen: Candidate) -> Candidate:
-        """Return the model after the steps from a chosen one, each adding the best term, without terms that no longer
+        """Return the model reached from a chosen one when each step adds the best term and removes terms that no longer
         help.
         """
         seen: set[frozenset[str]] = set()
@@ -195,8 +201,8 @@ class _Steps:
         """Return the model with a plainer law of the same effect in place of a rare one, if the data cannot rank the
         two.
 
-        The steps include the law that a smaller model needs; beside the terms added later, another may fit equally
-        well.
+        The steps include the law that fits best in a small model; beside the terms added later, another law may fit
+        equally well.
         """
         for term in (term for term in chosen.terms if term in self.rare):
             chosen = next(self._plainer(chosen, term), chosen)
@@ -205,7 +211,8 @@ class _Steps:
     def _plainer(self, chosen: Candidate, term: str) -> Iterator[Candidate]:
         """Yield the models with a plainer law than the term that are as likely as the chosen one, the plainest first.
 
-        Each is compared with the chosen one: of three laws, the data may rank only the first and the last.
+        Each model is compared with the chosen one: of three laws, the data may be able to rank only the first and the
+        last.
         """
         others = tuple(other for other in chosen.terms if other != term)
         for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
@@ -217,19 +224,19 @@ class _Steps:
                     yield plainer
 
     def _is_plainer(self, term: str, law: str) -> bool:
-        """Return whether a term considered is a plainer law of the same effect: contained, common, or earlier in the
-        table.
+        """Return whether `law` is one of the terms considered and a plainer law of the same effect as `term`.
 
-        Two such terms exclude each other. A law with fewer parameters that is not contained describes another effect.
+        Two laws of one effect exclude each other. The plainer law is contained in the other, is common where the other
+        is rare, or is earlier in the table. A law with fewer parameters that is not contained describes another effect.
         """
         beside = law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
         fewer = len(own(term)) - len(own(law))
         return beside and (law not in self.rare or fewer == 0 or set(own(law)) < set(own(term)))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
-        """Return the steps up to the chosen model, then one for each rejected term.
+        """Return the steps that led to the chosen model, then one step for each rejected term.
 
-        A rejected term stands on top of the model, or as a richer law in the place of one that it contains.
+        A rejected term is added to the model, or replaces a plainer law that it contains.
         """
         nested = [self.fits.candidate(chosen.terms[: i + 1], beside=chosen) for i in range(len(chosen.terms))]
         found = [_step(nested[0], (float("nan"), float("nan")), included=True)]
@@ -245,12 +252,14 @@ class _Steps:
         return tuple(found)
 
     def _may_pay(self, chosen: Candidate, seen: Fit) -> bool:
-        """Return whether a preview fits better than the chosen model by as much as Akaike's criterion needs."""
+        """Return whether the preview `seen` fits better than the chosen model by as much as Akaike's criterion
+        requires.
+        """
         return self.criterion.gained(self.fits.fitness(chosen.terms) - seen.fitness) > AKAIKE
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
-        """Return the model with one more term that improves the score and predicts held-out blocks best; None if
-        none.
+        """Return the model with one more term: of those that improve the score, the one that predicts held-out blocks
+        best; or None.
         """
         beyond = self._beyond(smaller.terms)
         if set(self.rare).intersection(smaller.terms) and self._is_described(smaller):
@@ -267,10 +276,10 @@ class _Steps:
         return self.criterion.likeliest(smaller, paying) if paying else None
 
     def _beyond(self, terms: tuple[str, ...]) -> dict[tuple[str, ...], Fit]:
-        """Return the models with another term, last, that fit the preview better, each with that fit.
+        """Return the models with one more term, in the last place, that fit the preview better, each with its preview.
 
-        A rare term may replace the terms that it excludes. Where rare terms are considered, a term brings the terms
-        that it needs: a gap without an offset shows little of either.
+        A rare term may replace the terms that it excludes. If rare terms are considered, a term is added together with
+        the terms that it needs: a gap without an offset shows little of either.
         """
         less, found = self.fits.preview(terms), {}
         for term in self.considered:
@@ -281,15 +290,15 @@ class _Steps:
         return found
 
     def _is_described(self, one: Candidate) -> bool:
-        """Return whether a model describes the recording; the tests take as long as some steps and are asked for
-        twice.
+        """Return whether a model describes the recording. The answer is stored, because the tests take long and are
+        needed twice.
         """
         if one not in self._enough:
             self._enough[one] = self.is_enough(Selection(one))
         return self._enough[one]
 
     def _is_no_error(self, smaller: Candidate, terms: tuple[str, ...]) -> bool:
-        """Return whether the last of these terms, a common one, explains more than all errors of deflection and
+        """Return whether the last of these terms, a common one, explains more torque than all errors of deflection and
         rate.
         """
         if terms[-1] in self.rare or not set(smaller.terms) < set(terms):
@@ -300,10 +309,10 @@ class _Steps:
         return 0.5 * math.pi * (smaller.fit.fitness**2 - larger.fit.fitness**2) > errors
 
     def _predicting(self, smaller: Candidate) -> Candidate:
-        """Return the model, or if rare terms are considered, with one more that predicts held-out blocks clearly
-        better.
+        """Return the smaller model or, if rare terms are considered, a model with one more term that predicts held-out
+        blocks clearly better.
 
-        With few independent samples the likelihood may not rank the two.
+        With few independent samples the likelihood may not be able to rank the two models.
         """
         beyond = self._beyond(smaller.terms) if self.rare and not self._is_described(smaller) else {}
         larger = (self.fits.candidate(terms, beside=smaller) for terms in beyond if set(smaller.terms) < set(terms))
@@ -311,7 +320,7 @@ class _Steps:
         return min(clear, key=lambda one: float(one.held_out.mean()), default=smaller)
 
     def _pruned(self, larger: Candidate) -> Candidate:
-        """Return the model without the terms that no longer improve the score beside all others."""
+        """Return the model without the terms that no longer improve the score when all others are present."""
         idle = []
         for term in larger.terms[1:]:
             fewer = tuple(sorted((o for o in larger.terms if o != term), key=lambda o: TERMS[o].smooths))
@@ -323,17 +332,17 @@ class _Steps:
 
 
 def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the terms of the smallest model, as far as they are considered."""
+    """Return the terms of the smallest model that are among the given terms."""
     smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
     return tuple(name for name in smallest if name == "linear" or name in terms)
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """Return the terms that lower the fitness most, in any of the models, within their bounds, with other laws of the
-    same effect.
+    """Return the few terms that lower the fitness most in any of the models, within their bounds, and other laws of the
+    same effects.
 
-    A law with the parameters of another fits hardly worse, and one with more never does; it must not take the place of
-    another kind of term. Neither must a law that only smooths friction.
+    A law of the same effect fits nearly as well, and must not take the place of another kind of term. Nor must a law
+    that only smooths friction.
     """
     lowest = {}
     containing = {term: [other for other in terms if _contains(term, other)] for term in terms}
@@ -348,13 +357,15 @@ def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...]
 
 
 def _contains(term: str, other: str) -> bool:
-    """Return whether a term has all parameters of another; of two with equal parameters, the later one in the table."""
+    """Return whether a term has all parameters of another; of two terms with equal parameters, the later one in the
+    table does.
+    """
     mine, others = set(own(term)), set(own(other))
     return others < mine or (others == mine and PLAINEST_FIRST.index(other) < PLAINEST_FIRST.index(term))
 
 
 def _is_richer_law(term: str, contained: list[str], likely: list[str]) -> bool:
-    """Return whether a term contains a likely one, or is a law of the same effect, which excludes it."""
+    """Return whether a term contains a likely term, or is a law of the same effect and therefore excludes it."""
     return bool(set(likely).intersection((*contained, *TERMS[term].excludes)))
 
 
