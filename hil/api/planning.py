@@ -76,11 +76,11 @@ def design(
     """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest errors. Nothing
     moves.
 
-    kc, bc: rough values of the joint, N m/rad and N m s/rad. torque_noise: standard deviation of the torque reading at
-    the joint, N m. For each of these, None means the simulator's value. model: the terms to estimate, or "auto": all
-    terms that model selection considers. progress: called with the name of the present step and the completed fraction.
-    The other arguments are those of `hil.record`. Raises WrongUse, also if the excitation would exceed a limit of the
-    stand.
+    kc, bc: rough values of the joint, N m/rad and N m s/rad; None: the values in [sim], for a simulated stand only.
+    torque_noise: standard deviation of the torque reading at the joint, N m; None: the value in [sim]. model: the terms
+    to estimate, or "auto": all terms that model selection considers. progress: called with the name of the present step
+    and the completed fraction. The other arguments are those of `hil.record`. Raises WrongUse, also if the excitation
+    would exceed a limit of the stand.
     """
     opened, quantity = opened_stand(stand), quantity_of(mode)
     made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)

@@ -1,1 +1,1 @@
-"""Campaigns: the plan of many recordings, what is done of it, its results and their report."""
+"""Campaigns of many recordings: the plan, the recordings done so far, their results, and the report."""

@@ -1,4 +1,4 @@
-"""Carry out a campaign: record what is not recorded yet, identify what is not identified yet."""
+"""Carry out a campaign: make the recordings that are missing, and identify the recordings without a result."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from hil.recording.output import writing
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """The interface to the person at the stand. say: shows a line. ask: shows an instruction and returns when it is
-    done.
+    """The interface to the person at the stand, as four functions.
 
-    progress: called with the phase of the identifications and the fraction done. sleep: waits for so many s.
+    say: shows a line of text. ask: shows an instruction and returns when the person has followed it. progress: gets the
+    name of the identification's phase and the completed fraction. sleep: waits for the given time, s.
     """
 
     say: Callable[[str], object]
@@ -35,7 +35,7 @@ class Desk:
 
 
 class Stopped(Exception):
-    """The person at the stand stopped the campaign. signal: the one that ended the recording."""
+    """The person at the stand stopped the campaign. signal: number of the signal that ended the recording."""
 
     def __init__(self, signal: int) -> None:
         super().__init__("stopped: the same command resumes the campaign")
@@ -43,9 +43,10 @@ class Stopped(Exception):
 
 
 def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
-    """Record every run that is not done; a failure is noted, and the next run follows.
+    """Make every recording of the plan that is missing. A failure is written into the journal, and the next recording
+    follows.
 
-    Raises Stopped, and DriverError if the torque of a drive may still be on: then nothing else is recorded.
+    Raises Stopped; raises DriverError if the torque of a drive may still be on, and then nothing else is recorded.
     """
     due = [run for run in plan.runs if not journal.is_done(run)]
     with writing(plan.folder):
@@ -72,7 +73,9 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
 
 
 def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
-    """Record a run; if the heat budget refuses it, rest and try once more. Raises TooHot if no rest is enough."""
+    """Record one run. If the heat limit refuses the run, wait until the motor is cool and try once more. Raises TooHot
+    if waiting does not help.
+    """
     try:
         return _recorded(plan, run, alarms)
     except TooHot as hot:
@@ -107,7 +110,7 @@ def _cool_down(seconds: float, desk: Desk) -> None:
 def identify_all(
     plan: Plan, journal: Journal, desk: Desk, *, workers: int | None = None, cluster: str | None = None
 ) -> None:
-    """Identify every recording that is done and has no result with the plan's model yet. Raises WrongUse."""
+    """Identify every recording that has no result with the plan's model yet. Raises WrongUse."""
     model, trials = plan.settings.model, plan.settings.trials
     due = [run for run in plan.runs if journal.is_done(run) and kept_result(run, model, trials) is None]
     if not due:

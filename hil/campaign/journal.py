@@ -1,4 +1,6 @@
-"""The progress of a campaign on disk: each change is written atomically, so that a kill at any moment costs one run."""
+"""The journal of a campaign: a file with the state of every run. Each change is written atomically, so that a kill
+costs at most one run.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,16 @@ _LARGEST = 1 << 26  # bytes of a journal, or of a result
 
 @dataclass(slots=True)
 class Entry:
-    """The state of a run. failure: why it is not done, "" if it is. key: of the settings that it was done with."""
+    """The state of a run in the journal. failure: why the run failed, "" if it is done. key: hash of the run's
+    settings.
+    """
 
     key: str
     failure: str = ""
 
 
 class Journal:
-    """The journal of a plan's folder. Raises WrongUse for the journal of another campaign."""
+    """The journal in the folder of `plan`. Raises WrongUse if that file is no journal of a campaign."""
 
     def __init__(self, plan: Plan) -> None:
         self._path = plan.folder / NAME
@@ -45,12 +49,12 @@ class Journal:
         raise WrongUse(f"{self._path} is no journal of a campaign: move it away, or choose another output")
 
     def failure(self, run: Run) -> str:
-        """Return why a run failed at the last attempt, "" if it did not."""
+        """Return why the last attempt of a run failed, "" if it did not fail."""
         entry = self._entries.get(run.name)
         return "" if entry is None else entry.failure
 
     def is_done(self, run: Run) -> bool:
-        """Return whether a run is done. Raises WrongUse if its recording was made with other settings."""
+        """Return whether a run is recorded. Raises WrongUse if its recording was made with other settings."""
         if not run.path.exists():
             return False
         entry = self._entries.get(run.name) or self._recovered(run)
@@ -62,7 +66,9 @@ class Journal:
         return not entry.failure
 
     def _recovered(self, run: Run) -> Entry | None:
-        """Return the entry of a run that ended just before the journal could be written."""
+        """Return the entry of a run that was recorded but is missing from the journal because the process was killed.
+        None if there is no such recording.
+        """
         with suppress(WrongUse, Untrustworthy), Recording(run.path) as recording:
             if recording.complete and str(recording.attributes.get("operator_note", "")) == note(run):
                 self.keep(run)
@@ -70,7 +76,7 @@ class Journal:
         return None
 
     def keep(self, run: Run, failure: str = "") -> None:
-        """Note that a run is done, or why it failed."""
+        """Write into the journal that a run is done, or with a text `failure` that it failed."""
         self._entries[run.name] = Entry(run.key, failure)
         runs = {name: {"key": entry.key, "failure": entry.failure} for name, entry in self._entries.items()}
         with atomic_write(self._path, force=True) as temporary:
@@ -78,12 +84,12 @@ class Journal:
 
 
 def note(run: Run) -> str:
-    """Return the note in a run's recording, by which the run is recognised."""
+    """Return the note that is stored in a run's recording, and by which the recording is assigned to the run."""
     return f"campaign run {run.name}, settings {run.key}"
 
 
 def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | None:
-    """Return the stored JSON object of the run's identification with these settings, None if there is none yet."""
+    """Return the stored result of a run for these settings, as a JSON object; None if there is none."""
     path = result_path(run)
     with suppress(OSError, ValueError, KeyError, TypeError, RecursionError, WrongUse):
         table = json.loads(read_text(path, largest=_LARGEST))
@@ -93,12 +99,12 @@ def kept_result(run: Run, model: str, trials: int | None) -> dict[str, Any] | No
 
 
 def keep_result(run: Run, model: str, trials: int | None, result: dict[str, Any]) -> None:
-    """Store the JSON object of the run's identification beside its recording."""
+    """Store the result of a run, a JSON object, beside its recording."""
     of = [run.key, model, trials, run.path.stat().st_mtime_ns]
     with atomic_write(result_path(run), force=True) as temporary:
         temporary.write_text(json.dumps({"of": of, "result": result}, indent=1), encoding="utf-8")
 
 
 def result_path(run: Run) -> Path:
-    """Return the file of a run's identification."""
+    """Return the path of the file that holds a run's result."""
     return run.path.with_suffix(".json")

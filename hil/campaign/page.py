@@ -1,4 +1,4 @@
-"""The report of a campaign, its lines for the terminal and its JSON object."""
+"""The report of a campaign as an HTML page, as lines for the terminal and as a JSON object."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CHANCE = 0.05
 
 
 def verdict(found: Results) -> str:
-    """Return the answer in one line."""
+    """Return the campaign's result in one line: how many joints have Kc and Bc, and which of them need attention."""
     complete = sum(len(line.values) == len(PARAMETERS) for line in found.lines)
     text = f"Kc and Bc of {complete} of {len(found.lines)} joints and settings"
     odd = [line.name for line in found.lines if line.stands_out or False in line.repeats.values()]
@@ -28,7 +28,7 @@ def verdict(found: Results) -> str:
 
 
 def diagnostics(found: Results) -> list[Diagnostic]:
-    """Return what needs attention, each with the remedy."""
+    """Return the warnings and errors about the campaign's results, each with a remedy."""
     listed = [Diagnostic("no-result", f"{one.run.name}: {one.failure}", is_error=True) for one in found.failed]
     for line in found.lines:
         for name in PARAMETERS:
@@ -46,7 +46,9 @@ def diagnostics(found: Results) -> list[Diagnostic]:
 
 
 def _range(found: Results, line: Line, name: str) -> str:
-    """Return the values of a line's recordings and their own errors, in words."""
+    """Return in words the smallest and largest value of a parameter over a line's recordings, and their largest
+    error.
+    """
     factor, unit = people_unit(_units(found)[name], milli=_milli(found))
     known = [one.values[name] for one in line.measured if name in one.values]
     least, most = (factor * end(one.value for one in known) for end in (min, max))
@@ -55,7 +57,7 @@ def _range(found: Results, line: Line, name: str) -> str:
 
 
 def _unlike(found: Results, line: Line, name: str, outlier: Outlier) -> str:
-    """Return in words how a line's value differs from those of the hand."""
+    """Return in words how an outlier differs from the median of the hand's joints."""
     factor, unit = people_unit(_units(found)[name], milli=_milli(found))
     value = line.values[name].value
     return (
@@ -65,7 +67,7 @@ def _unlike(found: Results, line: Line, name: str, outlier: Outlier) -> str:
 
 
 def table(found: Results) -> list[list[str]]:
-    """Return the table of the hand, its headings first."""
+    """Return a table of the hand with one row for each joint and setting; the first row has the headings."""
     factor = {name: people_unit(unit, milli=_milli(found)) for name, unit in _units(found).items()}
     headings = ["joint", "setting", "recordings", *(f"{name}, {factor[name][1]}" for name in PARAMETERS), "state"]
     rows = []
@@ -138,7 +140,7 @@ def _line_json(line: Line) -> dict[str, Any]:
 
 
 def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Path:
-    """Write the report to `path`, in place of an earlier one of the same campaign, and return it."""
+    """Write the HTML report to `path` and return the path. A report of the same campaign is replaced."""
     rows = table(found)
     text = "; ".join(f"{row[0]}, {row[1]}: Kc {row[3]}, Bc {row[4]}" for row in rows[1:])
     done = [one.run.path for line in found.lines for one in line.measured if one.values]
@@ -167,7 +169,7 @@ def _recordings(found: Results) -> list[list[str]]:
 
 
 def figure(found: Results) -> Figure:
-    """Return the picture: Kc and Bc of every line with their intervals, those that stand out marked."""
+    """Return a figure: Kc and Bc of every line with their intervals; the outliers are marked."""
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=(9, 6), layout="constrained")

@@ -25,10 +25,12 @@ class _Table(BaseModel):
 
 
 class CampaignTable(_Table):
-    """[campaign]. output: the folder of all results, relative to the plan. model: as `hil identify --model`.
+    """The table [campaign] of a plan: settings of the whole campaign.
 
-    repeats: recordings of each joint with each profile. cool_down: the pause before each recording but the first, s; a
-    simulated joint needs none. drift_check_every: after this many recordings the first one is repeated, 0 for never.
+    output: folder of all results, relative to the plan's folder. model: as in `hil identify --model`. trials: number of
+    independent searches. repeats: number of recordings of each joint with each profile. cool_down: pause before each
+    recording except the first, s; no pause is made for a simulated joint. drift_check_every: number of recordings after
+    which the first recording is repeated, 0 for never.
     """
 
     name: str = "campaign"
@@ -41,7 +43,9 @@ class CampaignTable(_Table):
 
 
 class ProfileTable(_Table):
-    """[[profile]]: an excitation, with the options of `hil record`. amplitude: N m or rad. band: Hz."""
+    """A table [[profile]] of a plan: an excitation, with the options of `hil record`. amplitude: N m or rad. band:
+    Hz.
+    """
 
     name: Name
     kind: str = "chirp"
@@ -54,10 +58,11 @@ class ProfileTable(_Table):
 
 
 class JointTable(_Table):
-    """[[joint]]. stand: its stand file, beside the plan, or "sim", whose parameters may stand in [joint.sim].
+    """A table [[joint]] of a plan: a joint to be measured.
 
-    pretensions: labels such as "2 N"; before each the person at the stand is asked to set it. before: what the person
-    must do before the joint's first recording.
+    stand: path of its stand file, relative to the plan's folder, or "sim". sim: parameters of a simulated joint.
+    pretensions: labels such as "2 N"; before each one the person at the stand is asked to set that pretension. before:
+    what the person must do before the joint's first recording.
     """
 
     name: Name
@@ -75,9 +80,10 @@ class _File(_Table):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One recording of the plan. repeat: from 1. is_check: whether it repeats the first one to detect a drift.
+    """One recording of the plan.
 
-    key: a hash of all its settings. asks: what the person at the stand must do before it.
+    repeat: number of the repeat, from 1. is_check: whether this recording repeats the first one to detect a drift. key:
+    a hash of all settings. asks: instruction to the person at the stand before the recording, "" for none.
     """
 
     name: str
@@ -92,13 +98,15 @@ class Run:
 
     @property
     def seed(self) -> int:
-        """The seed of everything random in it: different for each run."""
+        """The seed of all random numbers in this run; different for each run."""
         return int.from_bytes(hashlib.sha256(self.name.encode()).digest()[:4])
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A checked plan. path: its file. folder: of its results. runs: in their order."""
+    """A checked plan of a campaign. path: the plan's file. folder: the folder of all results. runs: the recordings in
+    order.
+    """
 
     path: Path
     settings: CampaignTable
@@ -111,13 +119,13 @@ class Plan:
 
     @property
     def seconds(self) -> float:
-        """How long the recordings and the cool-downs between them take, s."""
+        """The time that all recordings and the cool-downs between them take, s."""
         waits = sum(self.settings.cool_down for run in self.runs[1:] if run.joint.stand != "sim")
         return waits + sum(run.profile.duration for run in self.runs)
 
 
 def load(path: Path) -> Plan:
-    """Return the plan in a TOML file. Raises WrongUse with every error of it, each with its line and key."""
+    """Return the plan in a TOML file. Raises WrongUse with all errors of the file, each with its line and key."""
     file = load_table(path, _File, _message)
     plan = Plan(path, file.campaign, path.parent / file.campaign.output, ())
     return Plan(path, file.campaign, plan.folder, tuple(_runs(plan, file)))
@@ -168,7 +176,7 @@ def _run(
 
 
 def _message(text: str, item: Any) -> str:
-    """Return line, key and the fault, for one of a ValidationError's errors."""
+    """Return line, key and a sentence for one error in a pydantic ValidationError."""
     place = list(item["loc"])
     key = ".".join(str(part) for part in place if isinstance(part, str))
     value = f" = {item['input']!r}" if names_the_value(item) else ""

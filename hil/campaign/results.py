@@ -1,4 +1,6 @@
-"""The results of a campaign: Kc and Bc of every joint, whether they repeat and drift, and which are outliers."""
+"""The results of a campaign: Kc and Bc of every joint, whether they repeat, whether they drift, and which are
+outliers.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ _FEWEST = 5  # values among which one can stand out
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """One parameter with its 95 % interval, SI."""
+    """The value of one parameter with its 95 % interval, SI."""
 
     value: float
     ci95: tuple[float, float]
@@ -34,13 +36,15 @@ class Value:
 
     @property
     def error(self) -> float:
-        """The standard error, from half the interval; never zero."""
+        """The standard error, computed from half the 95 % interval; never zero."""
         return max((self.ci95[1] - self.value) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """A run with its trusted values. failure: why there is no recording or no result, else ""."""
+    """A run with the parameters that may be trusted. failure: why there is no recording or no result, otherwise "".
+    created: date of the recording.
+    """
 
     run: Run
     values: Mapping[str, Value]
@@ -50,8 +54,9 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Outlier:
-    """An outlier among the values of a hand. median: of the values, SI. score: modified z-score of its ratio to the
-    median.
+    """Why a value is an outlier among the joints of a hand.
+
+    median: of all joints' values, SI. score: modified z-score of the ratio of value to median.
     """
 
     median: float
@@ -60,8 +65,11 @@ class Outlier:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A joint at one pretension under one profile. values: over its repeats. repeats: whether these agree within their
-    own errors, None if that cannot be decided. stands_out: for each parameter how it is an outlier in the hand.
+    """The results of one joint at one pretension with one profile: a line of the report.
+
+    measured: the runs. values: each parameter, pooled over the runs. repeats: for each parameter, whether the runs
+    agree within their own errors; None if that cannot be decided. stands_out: the parameters that are outliers in the
+    hand.
     """
 
     joint: str
@@ -74,13 +82,17 @@ class Line:
 
     @property
     def name(self) -> str:
-        """The joint with its pretension, and the profile."""
+        """The names of joint, pretension and profile, joined with commas."""
         return ", ".join(part for part in (self.joint, self.pretension, self.profile) if part)
 
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """All lines in the plan's order, the runs without a result, and the drift per hour of the checks by parameter."""
+    """The results of a campaign.
+
+    lines: in the plan's order. failed: the runs without a result. drifts: for each parameter, the drift per hour over
+    the drift checks, and the mean value.
+    """
 
     lines: tuple[Line, ...]
     failed: tuple[Measured, ...]
@@ -93,7 +105,7 @@ class Results:
 
 
 def results(plan: Plan, journal: Journal) -> Results:
-    """Return the results of what is done of a plan."""
+    """Return the results of all runs of a plan that are done so far."""
     measured = [_measured(plan, run, journal) for run in plan.runs]
     keys = list(dict.fromkeys(_key(run) for run in plan.runs if not run.is_check))
     lines = [_line(key, [one for one in measured if _key(one.run) == key and not one.run.is_check]) for key in keys]
@@ -146,7 +158,7 @@ def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
 
 
 def marked(lines: Sequence[Line]) -> list[Line]:
-    """Return the lines with the outliers among those of one profile marked."""
+    """Return the lines with outliers marked. A line is compared with the other lines of the same profile."""
     found = []
     for line in lines:
         out = {}
@@ -161,7 +173,9 @@ def marked(lines: Sequence[Line]) -> list[Line]:
 
 
 def scores(values: Sequence[float]) -> list[float]:
-    """Return the modified z-scores of positive values by their ratios to the median; zeros for fewer than five."""
+    """Return the modified z-score of each value's ratio to the median. All values are positive; fewer than five get
+    scores of zero.
+    """
     if len(values) < _FEWEST or min(values) <= 0.0:
         return [0.0] * len(values)
     away = np.log(values) - np.median(np.log(values))
@@ -170,7 +184,9 @@ def scores(values: Sequence[float]) -> list[float]:
 
 
 def _drift(name: str, checks: Sequence[Measured]) -> tuple[Drift, float] | None:
-    """The drift of a parameter over the checks, per hour, and the mean value; None if there are fewer than three."""
+    """Return the drift of a parameter per hour over the drift checks, and the mean value; None for fewer than three
+    checks.
+    """
     known = [one for one in checks if name in one.values and one.created]
     if len(known) < 3:
         return None

@@ -1,1 +1,1 @@
-"""The command line: the only place that prints, asks the terminal anything, or exits."""
+"""The command line: the only package that prints, reads from the terminal, or exits."""

@@ -1,4 +1,4 @@
-"""The commands of `hil`, and the exit status of each."""
+"""All commands of `hil`, and the exit status with which each ends."""
 
 from __future__ import annotations
 
@@ -98,13 +98,13 @@ def _version(wanted: bool) -> None:
 def options_of_all(
     version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
 ) -> None:
-    """Take the options that stand before the command."""
+    """Handle the options that stand before the command, such as --version."""
 
 
 def main() -> NoReturn:
-    """Run the command line and exit with its status, which no later Ctrl-C replaces.
+    """Run the command line and exit with its status. A later Ctrl-C does not change that status.
 
-    A library's warning is about our code and tells a user nothing; `python -W` shows them.
+    Warnings of Python libraries are hidden, because they do not help a user; `python -W` shows them.
     """
     _open_standard_files()
     StopRequest.exit_follows = True
@@ -119,11 +119,11 @@ def main() -> NoReturn:
 
 
 def _open_standard_files() -> None:
-    """Open those of the descriptors 0 to 2 that were closed before the start; otherwise a recording could get one of
-    them.
+    """Open those of the file descriptors 0 to 2 that were closed before the start; otherwise a recording could get one
+    of these descriptors.
 
-    This applies to the child processes too: what they write to standard error must not go to a drive or into a
-    recording.
+    Child processes inherit the descriptors: without this, their messages to standard error could go to a drive or into
+    a recording.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -136,7 +136,7 @@ def _open_standard_files() -> None:
 
 @cache
 def _commands() -> Any:
-    """Return all commands with their options, which take longer to build than most commands to run."""
+    """Return all commands with their options. Building them takes longer than running most commands."""
     return typer.main.get_command(app)
 
 
@@ -163,9 +163,7 @@ def run(words: list[str]) -> int:
 
 
 def _usage(error: Exception) -> str:
-    """Return the fault in the options as a sentence; the parser's own sentences, where they come from pydantic, are
-    replaced.
-    """
+    """Return the error in the options as one sentence; sentences that come from pydantic are replaced."""
     shown, raised, cause = io.StringIO(), cast("Any", error), cast("Any", error.__cause__)
     if hasattr(cause, "errors"):
         item = cause.errors()[0]

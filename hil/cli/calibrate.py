@@ -1,4 +1,6 @@
-"""`hil calibrate`: the torque cell's scale and delay, the fixture's compliance and the zero, into the stand file."""
+"""`hil calibrate`: measure the torque cell's scale and delay, the fixture's compliance and the zero, and store them in
+the stand file.
+"""
 
 from __future__ import annotations
 
@@ -144,7 +146,7 @@ def zero(stand: StandPath, yes: Yes = False) -> None:
 
 
 def _wait(what: str, *, yes: bool) -> bool:
-    """Say what to do, and wait for Enter unless `yes`."""
+    """Print what to do. Unless `yes`, wait until the person presses Enter. Return whether to continue."""
     say(what)
     if not yes:
         typer.prompt("press Enter when it is done", default="", show_default=False, err=True)
@@ -152,7 +154,9 @@ def _wait(what: str, *, yes: bool) -> bool:
 
 
 def _guided(stand: Stand, read: Callable[[list[Load]], list[Point]], arm: float | None) -> list[Point]:
-    """Ask for weights until an empty answer, and return their points; an impossible weight is left out."""
+    """Ask for one weight after the other until the answer is empty; return the points. An impossible weight is left
+    out.
+    """
     from hil.calibration.points import weight
     from hil.calibration.torque import implausible
 

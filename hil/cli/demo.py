@@ -1,4 +1,4 @@
-"""`hil demo`: the main job on the simulated servo."""
+"""`hil demo`: record, identify and report on the simulated servo."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def design(
 
 
 def _show_work(found: DesignResult) -> None:
-    """Print the tables below the answer, and the commands that record the excitations."""
+    """Print the tables below the answer, and the commands with which the excitations are recorded."""
     from hil.report.design import design_lines, error_table, limit_table
 
     out_table(error_table(found.task, found.judged))

@@ -1,4 +1,4 @@
-"""`hil doctor`: ports, CAN interfaces and the drive of a stand."""
+"""`hil doctor`: check ports, CAN interfaces and the drive of a stand."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _end(checks: CheckList, report: Report | None) -> None:
 
 
 def _confirm(stand: Stand | None, *, yes: bool) -> None:
-    """Tell the person what will happen, and wait for a yes. Raises WrongUse without a stand or without a yes."""
+    """Print what will happen, and wait for a yes. Raises WrongUse without a stand, or if the answer is not yes."""
     if stand is None:
         raise WrongUse("--commission tries the drive of a stand: hil doctor stand.toml --commission")
     limits = stand.checked_limits()
@@ -108,7 +108,7 @@ def _confirm(stand: Stand | None, *, yes: bool) -> None:
 
 
 def _print_commissioning(checks: CheckList, report: Report | None) -> None:
-    """Print the verdict, then the checks."""
+    """Print the result of commissioning, then the checks."""
     failed = next((one for one in checks.checks if one.verdict == "error"), None)
     alarm = next((one.message for one in checks.checks if one.name == "torque off" and one is failed), "")
     if alarm:
@@ -122,7 +122,7 @@ def _print_commissioning(checks: CheckList, report: Report | None) -> None:
 
 
 def _summary(ports: list[Port], interfaces: list[Port]) -> str:
-    """Return the answer in one line: what is there, and whether something is wrong with it."""
+    """Return the answer in one line: the ports and interfaces found, and whether they have a problem."""
     wrong = sum(bool(port.problem) for port in (*ports, *interfaces))
     seen = f"{len(ports)} serial port(s), {len(interfaces)} CAN interface(s)"
     if wrong:

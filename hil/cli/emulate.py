@@ -97,7 +97,10 @@ def _plan(faults: Path | None) -> FaultPlan | None:
 
 
 def _copied(stop: Callable[[], None]) -> int | None:
-    """Copy this process; return the copy's id, None in the copy. It leaves the terminal and calls `stop` at its end."""
+    """Fork this process. Return the id of the copy; in the copy, return None.
+
+    The copy leaves the terminal and calls `stop` at its end.
+    """
     session, own = os.getsid(0), os.getpid()
     if copy := os.fork():
         return copy

@@ -1,4 +1,4 @@
-"""The help of the commands: type names, the examples below the help, and the exit statuses."""
+"""The help texts of the commands: names of types, examples, and exit statuses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ EXAMPLES = MappingProxyType(
         "calibrate zero": ("hil calibrate zero stand.toml",),
     }
 )
-"""Commands as a person types them, by the command that they are examples of."""
+"""Example command lines for each command, printed below its help."""
 
 STATUSES = (
     "0: done",
@@ -51,7 +51,7 @@ STATUSES = (
     "4: a limit was reached; the torque is off and the rows are kept",
     "130: interrupted with Ctrl-C (128 + the number of any other signal)",
 )
-"""What each exit status means."""
+"""The meaning of each exit status."""
 
 
 def below_help(command: str) -> str:
@@ -65,7 +65,7 @@ def below_main_help() -> str:
 
 
 class Command(TyperCommand):
-    """A command of typer without Python's types in its help: several files are <path>, not <list[Path]>."""
+    """A typer command whose help shows <path> instead of Python's types, such as <list[Path]>."""
 
     def get_help(self, ctx: Any) -> str:
         """Return the help. ctx: typer's context."""

@@ -147,7 +147,7 @@ def import_data(
 
 
 def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
-    """Return the named columns with the unit and scale of their option. Raises WrongUse for a unit without a column."""
+    """Return the column, with unit and scale, that each option names. Raises WrongUse for a unit without a column."""
     from hil.exchange.importer import Column
 
     found = {channel: Column(name, *given) for channel, name in names.items() if name is not None}
@@ -184,7 +184,7 @@ def export_data(
 
 
 def _export_coupling(source: Path, output: Path, form: str, *, force: bool) -> None:
-    """Write the coupling in a result, or in a recording, which is identified first."""
+    """Write the coupling from a result, or from a recording, which is identified first."""
     from hil.exchange.coupling import of_json, of_result
     from hil.exchange.exporter import export_coupling
     from hil.exchange.models import FORMATS
@@ -228,7 +228,9 @@ def recover(
 
 
 def _damage(path: Path, rows: int, *, trusted: bool) -> list[Diagnostic]:
-    """Return the diagnostics for `rows` damaged rows, and for a hash that differs."""
+    """Return the diagnostics of a file with `rows` damaged rows. trusted: whether the file's SHA-256 is as it was
+    written.
+    """
     from hil.diagnostics import Diagnostic
 
     found = []

@@ -106,7 +106,7 @@ def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[s
 
 
 def _required(require: str) -> tuple[str, ...]:
-    """Return the parameters that must be trusted. Raises WrongUse."""
+    """Return the parameters that --require names, which must be trusted for exit status 0. Raises WrongUse."""
     known = {"Kc": ("Kc",), "Bc": ("Bc",), "both": ("Kc", "Bc")}
     if require not in known:
         raise unknown("--require", require, known)
@@ -115,7 +115,7 @@ def _required(require: str) -> tuple[str, ...]:
 
 @contextmanager
 def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> Iterator[None]:
-    """If nothing could be identified, print the JSON object and write the report with the reason."""
+    """If the block raises NoResult, print the JSON object and write the report with the reason."""
     from hil.api.analysis import NoResult
 
     try:
@@ -137,7 +137,7 @@ def publish(
     verbose: bool = False,
     force: bool = False,
 ) -> None:
-    """Print the result, the answer first, and write its report (HTML) and its pictures (PNG). Raises WrongUse."""
+    """Print the result, then write its report (HTML) and its pictures (PNG). Raises WrongUse."""
     if as_json:
         print_json(found.as_json())
     else:
@@ -159,7 +159,7 @@ def _show_answer(found: Identification) -> None:
 
 
 def _show_work(found: Identification, *, verbose: bool) -> None:
-    """Print what was done in three lines, or with `verbose` in tables and lines."""
+    """Print how the result was obtained: three lines, or with `verbose` tables and more lines."""
     from hil.report import identification as report
 
     if not verbose:

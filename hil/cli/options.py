@@ -1,4 +1,4 @@
-"""The options that several commands share, and the parsing of their values."""
+"""The options that several commands share, and functions that read their values."""
 
 from __future__ import annotations
 
@@ -14,17 +14,20 @@ from hil.errors import WrongUse
 from hil.units import quantity
 
 DEFAULT_SEED = 0
-"""The seed of every command without --seed."""
+"""The seed for random numbers in every command without --seed."""
 LARGEST_SEED = 2**63 - 1
-"""The largest integer that an attribute of a recording holds."""
+"""The largest allowed seed: the largest integer that can be stored in a recording."""
 DEFAULT_RATE = 500.0
-"""Hz."""
+"""The sampling rate without --rate, Hz."""
 ALL_CORES = os.cpu_count() or 1
 _HERE = Path("stand.toml")
 
 
 def measured(option: str, dimension: str, text: str) -> Any:
-    """Return an option whose number may carry a unit; its value is in SI. text: the help. It raises WrongUse."""
+    """Return the definition of an option whose value is a number with or without a unit, converted to SI.
+
+    option: name. dimension: of the quantity. text: the help. The option raises WrongUse for a wrong unit.
+    """
 
     def parsed(given: str) -> float:
         try:
@@ -112,8 +115,8 @@ ListModels = Annotated[
 
 
 def stand_of(backend: str | None, path: Path | None) -> str | Path:
-    """Return the stand file, or "sim", from --backend or --stand; without both, the stand.toml of this folder, with a
-    note.
+    """Return the stand file, or "sim", from --backend or --stand. Without both, return the stand.toml in the working
+    directory, and print that.
 
     Raises WrongUse.
     """
@@ -137,7 +140,9 @@ def stand_of(backend: str | None, path: Path | None) -> str | Path:
 
 
 def amplitude_of(text: str | None, mode: Quantity) -> float | None:
-    """Return the amplitude, N m or rad as the mode needs it; None without one. Raises WrongUse for another unit."""
+    """Return the amplitude in the unit that the mode needs, N m or rad; None if none was given. Raises WrongUse for
+    another unit.
+    """
     wanted = "torque" if mode is Quantity.TORQUE else "angle"
     if text is None:
         return None
@@ -152,7 +157,9 @@ def amplitude_of(text: str | None, mode: Quantity) -> float | None:
 
 
 def check_report(report: Path | None, inputs: Sequence[Path], *, force: bool) -> None:
-    """Raise WrongUse, before any work is done, where --report would overwrite a file or has another's suffix."""
+    """Raise WrongUse if --report would overwrite a file, or is not a name for an HTML file. Called before any work is
+    done.
+    """
     from hil.recording.output import check_output
     from hil.report.html_page import check_page_name
 
@@ -161,7 +168,7 @@ def check_report(report: Path | None, inputs: Sequence[Path], *, force: bool) ->
 
 
 def band_of(text: str | None) -> tuple[float, float] | None:
-    """Return the two ends, Hz, that --band names; None without one. Raises WrongUse."""
+    """Return the lowest and highest frequency in --band, Hz; None if no band was given. Raises WrongUse."""
     if text is None:
         return None
     try:
@@ -172,7 +179,7 @@ def band_of(text: str | None) -> tuple[float, float] | None:
 
 
 def span_of(text: str, *dimensions: str) -> list[float]:
-    """Return the two ends of LOW:HIGH, SI; a unit after the second end also applies to a first end without one."""
+    """Return the two numbers of LOW:HIGH, SI. A unit after HIGH applies to LOW as well if LOW has no unit."""
     low, colon, high = text.partition(":")
     (first, stated), (second, dimension) = quantity(low, *dimensions), quantity(high, *dimensions)
     if not colon or (stated and dimension and stated != dimension):

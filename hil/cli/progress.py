@@ -1,4 +1,4 @@
-"""Progress of a long command: a bar on a terminal, an occasional line elsewhere."""
+"""Progress of a long command: a bar on a terminal; otherwise a line of text from time to time."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _LONG = 60.0  # s after which a line is due though no tenth is done
 
 @contextmanager
 def progress() -> Iterator[Show]:
-    """Yield a function that shows a phase by name, the share of it that is done, 0 to 1, and the time left.
+    """Yield a function that shows the name of a phase, its completed fraction, 0 to 1, and the time left.
 
-    On a terminal as a bar that is removed at the end; elsewhere as a line on standard error for every tenth. A share
-    that is not known, NaN, is a bar without an end, and a line at once and every ten seconds. What the first run
-    compiles is shown so.
+    On a terminal this is a bar, which is removed at the end. Otherwise it is a line on standard error for every
+    completed tenth. If the fraction is unknown (NaN), the bar has no end, and a line is printed at once and every ten
+    seconds. During the first run the compilation of the search is shown in the same way.
     """
     with _shown() as show, announced_to(_Compiling(show)):
         yield show
 
 
 class _Compiling:
-    """Shows how many functions were compiled so far."""
+    """Shows how many functions have been compiled so far."""
 
     def __init__(self, show: Show) -> None:
         self._show, self._count = show, 0
@@ -68,7 +68,7 @@ def _shown() -> Iterator[Show]:
 
 
 class Lines:
-    """Prints a line for every tenth that is done, at most one in `_QUIET`. now: a clock, s.
+    """Prints one line for every completed tenth, at most one line in `_QUIET` s. now: a clock, s.
 
     If the fraction is unknown, the first line is printed at once.
     """
@@ -80,7 +80,9 @@ class Lines:
         self._unknown, self._waited = "", -math.inf
 
     def __call__(self, what: str, done: float) -> None:
-        """Print the progress of the phase `what`, if a line is due."""
+        """Print the progress of the phase `what`, if it is time for a line. done: completed fraction, NaN if
+        unknown.
+        """
         now = self._now()
         if math.isnan(done):
             name = what.partition(" (")[0]

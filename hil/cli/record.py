@@ -101,7 +101,7 @@ def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand
 
 
 def _length(recording: Path, rate: float) -> float:
-    """Return the duration, s, of the rows of a recording at `rate` Hz."""
+    """Return the duration, s, of a recording's rows when they are sent at `rate` Hz."""
     from hil.recording.reader import Recording
 
     with Recording(recording) as opened:
@@ -109,7 +109,7 @@ def _length(recording: Path, rate: float) -> float:
 
 
 def _print(run: Run, *, as_json: bool) -> None:
-    """Print how a run went, a run that a fault ended too."""
+    """Print a summary of a run, also of a run that was ended by a fault."""
     if as_json:
         print_json(run.as_json())
     else:
@@ -118,7 +118,7 @@ def _print(run: Run, *, as_json: bool) -> None:
 
 
 def _print_line(run: Run) -> None:
-    """Print one line on how a run went."""
+    """Print the summary of a run in one line."""
     ended = run.outcome
     if not ended.samples:
         out(f"nothing was recorded ({ended.end_reason})")
@@ -128,7 +128,7 @@ def _print_line(run: Run) -> None:
 
 
 def _print_lateness(run: Run) -> None:
-    """Print how late the set-points were sent; nothing in virtual time, which has no lateness."""
+    """Print how late the set-points were sent. In virtual time there is no lateness, and nothing is printed."""
     from hil.report.formatting import engineering
 
     if run.lateness[2] > _ROUNDING or (run.outcome.missed and math.isfinite(run.lateness[2])):

@@ -85,7 +85,7 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
 
 
 def _check_defaults(questions: list[Question]) -> None:
-    """Raise WrongUse if questions have no default, with all of them."""
+    """Raise WrongUse if a question has no default answer; the message lists all such questions."""
     missing = [question.key for question in questions if question.default is None]
     if missing:
         words = " ".join(f"--set {key}=..." for key in missing)
@@ -93,7 +93,7 @@ def _check_defaults(questions: list[Question]) -> None:
 
 
 def _asked(draft: Draft, question: Question) -> Any:
-    """Return the user's answer, asked for again until it is valid."""
+    """Ask the user a question, again until the answer is valid; return the answer."""
     default = _port_here() if question.name == "port" else question.default
     meaning = f" ({question.meaning})" if question.meaning else ""
     while True:
@@ -106,7 +106,7 @@ def _asked(draft: Draft, question: Question) -> Any:
 
 
 def _port_here() -> str | None:
-    """Return the only serial port of this machine, None if there are none or several."""
+    """Return the serial port of this computer if it has exactly one, otherwise None."""
     from drivers.ports import serial_ports
 
     ports = serial_ports()

@@ -32,19 +32,21 @@ _STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, for
 
 
 def out(text: str, *, is_drawn: bool = False) -> None:
-    """Print text to standard output. is_drawn: it is already escaped. Raises WrongUse if it cannot be written."""
+    """Print text to standard output. is_drawn: whether the text is already escaped. Raises WrongUse if the text cannot
+    be written.
+    """
     if error := _written(text, sys.stdout, is_drawn=is_drawn):
         raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
 
 
 class _Quiet:
-    """Whether this command prints only the answer."""
+    """The state of --quiet: whether the running command prints only the answer."""
 
     wanted = False
 
 
 def be_quiet(wanted: bool) -> None:
-    """Turn the output of `detail` and `note`, tables and progress off, or on again."""
+    """Suppress the output of `detail` and `note`, tables and progress if `wanted`; otherwise enable it."""
     _Quiet.wanted = wanted
     logging.getLogger("ga").setLevel(logging.ERROR if wanted else logging.NOTSET)
 
@@ -61,7 +63,7 @@ def detail(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print what was done, apart from the answer, to standard error. Never raises."""
+    """Print a message about the work, apart from the answer, to standard error. Never raises."""
     if not is_quiet():
         say(text)
 
@@ -73,14 +75,14 @@ def say(text: str) -> None:
 
 
 def _cut(line: str) -> str:
-    """Return a line shortened so that a terminal shows it; a file may contain a name of a megabyte."""
+    """Return a line shortened to a length that a terminal can show: a name in a file may be a megabyte long."""
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}... ({len(line) - _LONGEST} more characters)"
 
 
 def printable(text: str) -> str:
     """Return text with its terminal control characters escaped, except line ends and tabs.
 
-    Names and messages may come from files of others: an escape sequence in them could rewrite the screen.
+    Names and messages may come from other people's files: an escape sequence in such a text could rewrite the screen.
     """
     return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
 
@@ -99,11 +101,12 @@ def _escaped(character: str) -> str:
 
 
 def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSError | None:
-    """Print to `stream` (None: it was closed before the start). Return the error if it cannot be written.
+    """Print to `stream`; return the error if the text cannot be written. stream: None if it was closed before the
+    start.
 
-    is_drawn: the text is already escaped and has colours. After an error the stream is redirected to nowhere, or the
-    interpreter's last flush would fail too. A reader that has closed the pipe (`hil inspect a.h5 | head -1`) is no
-    error.
+    is_drawn: whether the text is already escaped and has colours. After an error the output is redirected to nowhere;
+    otherwise the interpreter's last flush would fail too. A reader that has closed the pipe (`hil inspect a.h5 | head
+    -1`) is no error.
     """
     if stream is None:
         return None
@@ -141,7 +144,9 @@ def out_table(table: Table) -> None:
 
 
 def _widths(rows: Sequence[Sequence[str]], room: int) -> list[int]:
-    """Return the width of each column so that all fit into `room` and no word is broken; [] if they cannot."""
+    """Return the width of each column, so that all columns fit into `room` characters and no word is broken; [] if that
+    is impossible.
+    """
     cells = [[line for cell in column for line in cell.splitlines()] for column in zip(*rows, strict=True)]
     least = [max((len(word) for line in lines for word in line.split()), default=0) for lines in cells]
     widths = [max(map(len, lines), default=0) for lines in cells]
@@ -154,7 +159,7 @@ def _widths(rows: Sequence[Sequence[str]], room: int) -> list[int]:
 
 
 def _as_records(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table for a narrow terminal: each row as lines of a heading and a value."""
+    """Return a table for a narrow terminal: for each row, one line with heading and value for each column."""
     headings, *records = rows
     lines = [title] if title else []
     for first, *others in records:
@@ -176,7 +181,7 @@ def print_diagnostics(diagnostics: Sequence[Diagnostic]) -> None:
 
 
 def exit_interrupted(checkpoint: Path | None) -> NoReturn:
-    """Say how to resume an interrupted search, and end the command with its status."""
+    """Print how to resume an interrupted search, and end the command with the exit status for that."""
     if checkpoint is None:
         say("interrupted: progress was not saved; use --checkpoint to be able to resume")
     else:

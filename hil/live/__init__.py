@@ -1,1 +1,1 @@
-"""The live view of a run: what its rows show so far, drawn by a separate process."""
+"""The live view of a run: a separate process draws the rows recorded so far."""

@@ -1,4 +1,6 @@
-"""Rerun (extra `view`): a run in progress or a recording as time series in its viewer, or in a file that it opens."""
+"""Show a run in progress, or a recording, as time series in the viewer Rerun (extra `view`) or in a file for that
+viewer.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,9 @@ _SHOWN = ("command", "torque", "dtheta", "dtheta_dot", "temperature")
 
 
 def check(place: str, *, force: bool) -> None:
-    """Raise WrongUse for a place that is neither "window" nor a new file .rrd, and where Rerun is not installed.
+    """Raise WrongUse if Rerun is not installed, or if `place` is neither "window" nor the name of a new file .rrd.
 
-    force: a file that is there is replaced.
+    force: whether an existing file may be replaced.
     """
     _rerun()
     if place == WINDOW:
@@ -36,20 +38,23 @@ def check(place: str, *, force: bool) -> None:
 
 
 def show(channels: Mapping[str, Array], place: str) -> None:
-    """Show a recording's channels (n,), SI, among them time, in a window or a file. Raises WrongUse."""
+    """Show a recording's channels in Rerun.
+
+    channels: arrays (n,), SI, by name, including "time". place: "window" or a file .rrd. Raises WrongUse.
+    """
     stream = _Columns(place)
     stream.send({name: channels[name] for name in ("time", *_SHOWN) if name in channels})
 
 
 class Stream:
-    """A run in progress, sent as its rows come. place: as `check`."""
+    """Sends the rows of a run in progress to Rerun. place: "window" or a file .rrd."""
 
     def __init__(self, place: str) -> None:
         self._columns = _Columns(place)
         self._sent = 0
 
     def update(self, state: State) -> None:
-        """Send the rows since the last call, and the estimates of Kc and Bc."""
+        """Send the rows that are new since the last call, and the present estimates of Kc and Bc."""
         rows = state.since(self._sent)
         if not len(rows):
             return
@@ -77,7 +82,7 @@ class _Columns:
             raise WrongUse(f"--rerun {place}: Rerun cannot show it ({reason}): try a file, such as run.rrd") from None
 
     def send(self, channels: Mapping[str, Array]) -> None:
-        """Send channels (n,), SI, at their "time"; what is not finite is left out."""
+        """Send channels (n,), SI, at the times in the channel "time". Values that are not finite are left out."""
         time = channels["time"]
         for name, values in channels.items():
             good = np.isfinite(time) & np.isfinite(values)

@@ -1,4 +1,6 @@
-"""The state of a run as text for a terminal of any size: traces, loop, margins and first estimates."""
+"""The live view as text for a terminal of any size: traces, torque-deflection loop, margins to the limits, first
+estimates.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,10 @@ KEYS = "space or q: stop softly, and keep the rows; q again: torque off at once"
 
 
 def drawn(state: State, width: int, height: int, *, unicode: bool = True, keys: bool = False) -> str:
-    """Return the state in at most `width` columns and `height` lines, with no colours.
+    """Return the text of the live view: at most `width` columns and `height` lines, without colours.
 
-    unicode: whether the terminal has lines and dots. keys: whether keys are read, which is then said.
+    unicode: whether the terminal can show line and dot characters. keys: whether keys are read; then the text names
+    them.
     """
     if state.count < 2:
         return "starting"
@@ -36,7 +39,7 @@ def drawn(state: State, width: int, height: int, *, unicode: bool = True, keys: 
 
 
 def line(state: State) -> str:
-    """Return the state in one line of less than 80 columns."""
+    """Return a summary of the state in one line of less than 80 columns."""
     if state.count < 2:
         return "starting"
     torque, angle = state.last
@@ -76,7 +79,7 @@ def _torque(value: float) -> str:
 
 
 def _plot(state: State, channels: tuple[str, str], size: tuple[int, int], marker: str) -> list[str]:
-    """Return a picture of one channel over another, in lines of the same width."""
+    """Return a plot of one channel over another as lines of text, all of the same width."""
     import plotext
 
     plot: Any = plotext

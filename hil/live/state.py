@@ -1,4 +1,6 @@
-"""What the rows of a run show so far: rate, jitter, losses, margins of the limits, and first estimates of Kc and Bc."""
+"""The state of a run, from its rows so far: rate, jitter, lost replies, margins to the limits, first estimates of Kc
+and Bc.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from hil.recording.channels import Rows
 Array = NDArray[np.float64]
 
 WINDOW = 5.0
-"""The length of the traces, s."""
+"""The time that the traces show, s."""
 
 _LOST = np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))
 _RECENT = 500  # intervals from which rate and jitter are taken
@@ -25,9 +27,9 @@ _DISTINCT = 1e-8  # reciprocal condition from which the three columns are distin
 
 @dataclass(slots=True)
 class LeastSquares:
-    """Kc, Bc and an offset of the torque, by recursive least squares over all rows so far.
+    """Estimates Kc, Bc and an offset of the torque by recursive least squares over all rows so far.
 
-    Kept in the information form (sums of products), which is the recursive estimate without forgetting and needs no
+    The sums of products are stored (information form). This is the recursive estimate without forgetting, and needs no
     starting covariance (Ljung 1999, section 11.2).
     """
 
@@ -36,7 +38,7 @@ class LeastSquares:
     count: int = 0
 
     def add(self, dtheta: Array, rate: Array, torque: Array) -> None:
-        """Take rows (n,) of deflection, rad, its rate, rad/s, and torque, N m; those with a NaN are left out."""
+        """Add rows (n,) of deflection, rad, its rate, rad/s, and torque, N m. Rows with a NaN are left out."""
         columns = np.stack([dtheta, rate, np.ones_like(dtheta)], axis=1)
         good = np.isfinite(columns).all(axis=1) & np.isfinite(torque)
         self.products += columns[good].T @ columns[good]
@@ -45,7 +47,7 @@ class LeastSquares:
 
     @property
     def estimate(self) -> tuple[float, float] | None:
-        """Kc, N m/rad, and Bc, N m s/rad; None while the rows do not determine them."""
+        """Kc, N m/rad, and Bc, N m s/rad; None as long as the rows do not determine both."""
         size = np.sqrt(np.diag(self.products))
         if self.count < _FEWEST or not (size > 0.0).all():
             return None
@@ -58,7 +60,7 @@ class LeastSquares:
 
 @dataclass(frozen=True, slots=True)
 class Margin:
-    """How much of a limit is used: name, reading, limit and unit, SI."""
+    """The largest reading of a quantity so far, compared with its limit. unit: SI unit of reading and limit."""
 
     name: str
     reading: float
@@ -67,12 +69,14 @@ class Margin:
 
     @property
     def used(self) -> float:
-        """The fraction of the limit in use; above 1 the run ends."""
+        """The reading as a fraction of the limit; above 1 the run ends."""
         return self.reading / self.limit
 
 
 class State:
-    """The state of a run of `duration` s. limits: by name, SI at the joint."""
+    """The state of a run in progress. rows: those of its file. duration: planned, s. limits: by name, SI at the
+    joint.
+    """
 
     def __init__(self, rows: Rows, duration: float, limits: Mapping[str, float]) -> None:
         self._rows, self._limits = rows, limits
@@ -83,7 +87,7 @@ class State:
         self._peaks: dict[str, float] = {}
 
     def update(self) -> None:
-        """Take the rows that were written since."""
+        """Take over the rows that were written since the last call."""
         before, self.count = self.count, self._written()
         new = self._rows[before : self.count]
         if not len(new):
@@ -102,12 +106,12 @@ class State:
             self._peaks["temperature"] = float(warm[-1])
 
     def since(self, first: int) -> Rows:
-        """Return the rows from number `first` on."""
+        """Return all rows so far, beginning with row number `first`."""
         return self._rows[first : self.count]
 
     @property
     def left(self) -> float:
-        """s until the planned end."""
+        """The time until the planned end of the run, s."""
         return max(0.0, self._duration - self._elapsed)
 
     @property
@@ -120,19 +124,21 @@ class State:
 
     @property
     def rate(self) -> float:
-        """Samples a second, over the last ones; NaN before there are two."""
+        """The sampling rate over the most recent samples, Hz; NaN before there are two samples."""
         recent = self._recent
         return (len(recent) - 1) / float(np.nanmax(recent) - np.nanmin(recent)) if len(recent) > 1 else math.nan
 
     @property
     def jitter(self) -> float:
-        """By how much 99 % of the last intervals between samples differ at most from the usual one, s; NaN before."""
+        """The deviation of the recent sampling intervals from their median, s: 99 % deviate less. NaN before there are
+        two samples.
+        """
         steps = np.diff(self._recent)
         return float(np.nanquantile(np.abs(steps - np.nanmedian(steps)), 0.99)) if len(steps) else math.nan
 
     @property
     def margins(self) -> list[Margin]:
-        """The largest reading so far against each limit; of the temperature the last one."""
+        """For each limit, the largest reading so far; for the temperature, the last reading."""
         units = {"torque": "N m", "deflection": "rad", "velocity": "rad/s", "temperature": "degC"}
         return [
             Margin(name, self._peaks[name], limit, units[name])
@@ -141,7 +147,9 @@ class State:
         ]
 
     def points(self, first: str, second: str, most: int) -> tuple[Array, Array]:
-        """Return two channels (m,) over the last `WINDOW` s, at most about `most` rows of them, without NaN."""
+        """Return two channels (m,) over the last `WINDOW` s, thinned to about `most` rows; rows with a NaN are left
+        out.
+        """
         begin = self.count - 1
         while begin > 0 and not self._elapsed - float(self._rows["time"][begin]) > WINDOW:
             begin -= min(begin, _RECENT)
@@ -152,11 +160,13 @@ class State:
 
     @property
     def last(self) -> tuple[float, float]:
-        """The last torque, N m, and deflection, rad; NaN where a reply was lost."""
+        """The last torque, N m, and deflection, rad; NaN if the last reply was lost."""
         return (float(self._rows["torque"][self.count - 1]), float(self._rows["dtheta"][self.count - 1]))
 
     def _written(self) -> int:
-        """The number of rows whose `seq` is their index, by bisection: they are written in order."""
+        """Return the number of rows written so far. A row is written if its `seq` equals its index; rows are written in
+        order, so the last one is found by bisection.
+        """
         low, high = self.count, len(self._rows)
         while low < high:
             middle = (low + high) // 2

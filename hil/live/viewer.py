@@ -1,7 +1,8 @@
-"""The live view of a run, drawn by a process of its own that maps the `.part` file and reads its valid rows.
+"""The live view of a run, drawn by a separate process that maps the `.part` file and reads its valid rows.
 
-Drawing in the control process costs every fifth tick at 1 kHz; drawing here costs none. The process ends with its
-standard input, when the recorder closes it or is gone. A key asks the recorder to stop as Ctrl-C does: by a signal.
+Drawing in the control process costs every fifth tick at 1 kHz; drawing in a separate process costs none. The viewer
+ends when its standard input ends, because the recorder has closed it or has ended. A key asks the recorder to stop by a
+signal, like Ctrl-C.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ _SLOW_SCREEN = 10  # of niceness: the control loop comes first
 
 @contextmanager
 def beside(part: Path, rerun: str = "") -> Iterator[None]:
-    """Watch the recording at `part` from a process of its own, where standard error is a terminal.
+    """While the block runs, show the recording at `part` in a separate viewer process, if standard error is a terminal.
 
-    rerun: "window" or a file, where Rerun shows or keeps the same. The viewer is in a session of its own, which Ctrl-C
-    does not reach. A run goes on without a viewer that cannot be started.
+    rerun: "window" or a file .rrd, in which Rerun shows the run as well; "" for neither. The viewer has a session of
+    its own, so that Ctrl-C does not reach it. If the viewer cannot be started, the run continues without it.
     """
     if not (sys.stderr.isatty() or rerun):
         yield
@@ -62,7 +63,9 @@ def beside(part: Path, rerun: str = "") -> Iterator[None]:
 
 @contextmanager
 def _terminal_kept() -> Iterator[int]:
-    """Yield a descriptor of the terminal from which keys are read, -1 without one; its settings are then restored."""
+    """Yield a file descriptor of the terminal from which keys are read, -1 if there is no terminal. Afterwards restore
+    the terminal's settings.
+    """
     try:
         import termios
 
@@ -83,8 +86,8 @@ def _terminal_kept() -> Iterator[int]:
 def watch(path: Path, terminal: int, recorder: int, encoding: str, rerun: str) -> None:
     """Show the recording in progress at `path` until standard input ends.
 
-    terminal: a descriptor to read keys from, or -1; recorder: the process that a key stops. encoding: of its
-    terminal. rerun: as `beside`.
+    terminal: file descriptor from which keys are read, or -1. recorder: id of the process that a key stops. encoding:
+    of the terminal. rerun: "window", a file .rrd, or "".
     """
     with suppress(OSError):
         os.nice(_SLOW_SCREEN)
@@ -108,7 +111,9 @@ def watch(path: Path, terminal: int, recorder: int, encoding: str, rerun: str) -
 
 
 def opened(path: Path) -> tuple[Rows, float, Mapping[str, float]]:
-    """Return the rows of a recording in progress, its planned duration, s, and its limits, SI at the joint."""
+    """Return three things about a recording in progress: its rows, its planned duration, s, and its limits, SI at the
+    joint.
+    """
     with h5py.File(path, "r") as file:
         offset, length, layout = int(file["live"].id.get_offset()), len(file["live"]), file["live"].dtype
         duration = float(file["profile"].attrs["duration"])
@@ -128,7 +133,9 @@ def _limits(text: str) -> dict[str, float]:
 
 @contextmanager
 def _screen(*, has_keys: bool, encoding: str) -> Iterator[Callable[[State], object]]:
-    """Yield what draws a state on standard error, nothing where that is no terminal."""
+    """Yield a function that draws a state on standard error. If standard error is no terminal, the function does
+    nothing.
+    """
     if not sys.stderr.isatty():
         yield lambda _state: None
         return
@@ -149,7 +156,10 @@ def _screen(*, has_keys: bool, encoding: str) -> Iterator[Callable[[State], obje
 
 @contextmanager
 def _keys(terminal: int, recorder: int) -> Iterator[bool]:
-    """Read keys from a terminal: space and q stop the recorder softly, a second q at once. Yields whether they are."""
+    """While the block runs, read keys from a terminal. Yield whether keys can be read.
+
+    Space or q asks the recorder to ramp the torque down and stop; a second q stops the recorder at once.
+    """
     try:
         import termios
         import tty

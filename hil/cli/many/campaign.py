@@ -1,4 +1,4 @@
-"""`hil campaign`: many joints, profiles and repeats, recorded, identified and reported."""
+"""`hil campaign`: record, identify and report many joints with several profiles and repeats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hil identify --each`: recordings identified one by one."""
+"""`hil identify --each`: identify each recording separately."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ if TYPE_CHECKING:
 
 
 def refuse_with_each(given: Mapping[str, Any]) -> None:
-    """Raise WrongUse for an option that belongs to one identification. given: by name, None if it was not given."""
+    """Raise WrongUse if an option cannot be used with --each. given: value of each option, None if it was not given."""
     for name, value in given.items():
         if value is not None:
             raise WrongUse(f"--{name} belongs to one identification: leave it out, or --each")
 
 
 def meets(found: IdentificationResult, required: tuple[str, ...]) -> bool:
-    """Return whether the required parameters may be trusted; if only one is required, the model must have it."""
+    """Return whether the required parameters may be trusted. If only one parameter is required, the model must have
+    it.
+    """
     if len(required) == 1 and required[0] not in found.parameters:
         say(f"error: model {found.model} has no {required[0]}, which --require asks for")
         return False
@@ -35,7 +37,7 @@ def meets(found: IdentificationResult, required: tuple[str, ...]) -> bool:
 def identify_each(
     recordings: Sequence[Path], model: str | None, options: dict[str, Any], required: tuple[str, ...], *, as_json: bool
 ) -> None:
-    """Print the result of each recording, and end with the status that the worst of them asks for."""
+    """Print the result of each recording, and end with the exit status of the worst result."""
     from hil.api.analysis import NoResult
     from hil.api.analysis import identify_each as identify
 
