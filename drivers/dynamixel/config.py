@@ -19,7 +19,7 @@ else:
 
 Mode = Literal["current", "extended-position", "current-based-position"]
 Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
-"""bit/s that both the servos and dynamixel-sdk have; the SDK lacks 4.5 Mbaud."""
+"""bit/s that both the servos and dynamixel-sdk support. dynamixel-sdk does not support 4.5 Mbaud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,11 @@ class DynamixelConfig:
             )
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the configuration that commands `quantity`; positions within the torque limit where the model can.
+        """Return the configuration that commands `quantity`. For positions, choose the mode that limits the torque if
+        the model has it.
 
-        Raises ValueError if the stated mode commands something else, or no mode of the model does.
+        Raises ValueError if the stated mode commands the other quantity, or if no mode of the model commands
+        `quantity`.
         """
         current = bool(models()[self.model].current_lsb)
         if self.mode is not None:
@@ -95,7 +97,7 @@ class DynamixelConfig:
 
     @property
     def effective_mode(self) -> Mode:
-        """The mode; chosen by the model where `mode` is None."""
+        """The operating mode: `mode`, or the mode that the model implies if `mode` is None."""
         if self.mode is not None:
             return self.mode
         return "current" if models()[self.model].current_lsb else "extended-position"

@@ -1,4 +1,4 @@
-"""The errors that a servo latches, with the remedy.
+"""The errors that a DYNAMIXEL servo latches, each with its remedy.
 
 Source: e-manual, "Hardware Error Status(70)", "Shutdown(63)" and "Bus Watchdog(98)" of the models' pages.
 """
@@ -9,9 +9,9 @@ from drivers.servo import DeviceFault
 from drivers.tables import texts_of
 
 WATCHDOG = 0x100
-"""Our code for a tripped bus watchdog: above every value of Hardware Error Status(70)."""
+"""Fault code of this project: the bus watchdog tripped. It is above every value of Hardware Error Status(70)."""
 RESTARTED = 0x101
-"""Our code for a servo whose torque went off by itself and left no error: it was restarted."""
+"""Fault code of this project: the torque is off although the servo latched no error, so the servo was restarted."""
 
 _HARDWARE = {
     0x01: "its supply voltage is outside its limits: check the supply and the cable",
@@ -23,14 +23,18 @@ _HARDWARE = {
 
 
 def latched(bits: int) -> DeviceFault:
-    """Return the error for a Hardware Error Status(70) of `bits`; it holds until the servo is rebooted."""
+    """Return the error for the value `bits` of Hardware Error Status(70). The servo keeps this error until it is
+    rebooted.
+    """
     return DeviceFault(
         bits, f"the servo latched hardware error {bits}: {texts_of(bits, _HARDWARE)}; then switch its power off and on"
     )
 
 
 def shut_down(bits: int) -> DeviceFault:
-    """Return the error for a servo with protocol 1.0 whose replies carry the error `bits` (0: an earlier shutdown)."""
+    """Return the error for a servo with protocol 1.0 that has shut down. bits: the error bits in its replies; 0: the
+    shutdown was earlier.
+    """
     texts = texts_of(bits, _HARDWARE) or "it has shut down"
     return DeviceFault(bits, f"the servo reports error {bits}: {texts}; then switch its power off and on")
 

@@ -1,4 +1,6 @@
-"""The identification of a servo: the model of the stand file, with firmware that has a watchdog, and alone."""
+"""Identify a servo: check that it is the model of the stand file, that its firmware has a watchdog, and that no second
+servo replies.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,10 @@ RETURN_DELAY_LSB = 2e-6
 
 
 def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Series) -> str:
-    """Check the model, make it reply to every request, and read its return delay. Returns its firmware version.
+    """Check the model, make the servo reply to every request, and read its return delay. Return its firmware version.
 
-    Raises NoReply, BadReply if several reply at once, DriverError for another model or firmware without a watchdog.
+    Raises NoReply, BadReply if several servos reply at once, DriverError for another model or for firmware without a
+    watchdog.
     """
     number, firmware = _model_and_firmware(bus, table, series)
     model = models()[config.model]
@@ -53,10 +56,10 @@ def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Ser
 
 
 def _confirm_writes(bus: Bus, table: ControlTable, series: Series, level: int | None = None) -> None:
-    """Set Status Return Level: an X servo, which forgets it without power, may not even answer reads before.
+    """Set Status Return Level to 2, so that the servo confirms writes. An X servo loses this setting without power.
 
-    An MX servo keeps it, so its own value is restored afterwards; it is locked while the torque is on. level: that
-    value where the servo answers no read, None if it is read.
+    An MX servo stores the setting, so the earlier value is restored at the end; the register is locked while the torque
+    is on. level: the earlier value, for a servo that does not reply to reads; None: read it.
     """
     if not _keeps_level(series):
         bus.send(series.registers["status_return_level"].address, b"\x02")
@@ -70,7 +73,7 @@ def _keeps_level(series: Series) -> bool:
 
 
 def _model_and_firmware(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
-    """Return model number and firmware version; replies may be lost."""
+    """Return model number and firmware version. A request whose reply is lost is repeated."""
     try:
         with contextlib.suppress(NoReply):
             return retry(lambda: series.identity(bus))
@@ -82,7 +85,7 @@ def _model_and_firmware(bus: Bus, table: ControlTable, series: Series) -> tuple[
 
 
 def _answers_pings_only(bus: Bus) -> bool:
-    """Return whether the servo answered every ping and no read: a return level of 0."""
+    """Return whether the servo replies to every ping and to no read: its Status Return Level is 0."""
     for _ in range(ATTEMPTS):
         try:
             bus.ping(0)
@@ -97,7 +100,9 @@ def _answers_pings_only(bus: Bus) -> bool:
 
 
 def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
-    """Return model and firmware of a servo that answers pings only. Raises NoReply if it stays so."""
+    """Make a servo that replies to pings only reply to everything, and return model and firmware. Raises NoReply if it
+    still does not reply.
+    """
     try:
         _confirm_writes(bus, table, series, level=0)
         return retry(lambda: series.identity(bus))
@@ -109,7 +114,9 @@ def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo on the port; see `search_every_rate`. Only pings are sent; 2 s a rate."""
+    """Return a sentence for every servo on the port; see `search_every_rate`. Only pings are sent. A baud rate takes 2
+    s.
+    """
 
     def name(_line: SerialPort, _ident: int, number: int) -> str:
         return f"a {name_of(number)}" if number else "a servo on protocol 1.0"

@@ -1,4 +1,4 @@
-"""The servos and registers in table.toml, which names the manual pages they are from."""
+"""The DYNAMIXEL models and registers of table.toml, which also names the manual pages used."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ VELOCITY_LSB = 0.229 * math.tau / 60.0
 
 @dataclass(frozen=True, slots=True)
 class DynamixelRegister:
-    """An item of the control table; size in bytes."""
+    """An item of the control table. size: bytes."""
 
     address: int
     size: int
@@ -28,13 +28,13 @@ class DynamixelRegister:
         return value.to_bytes(self.size, "little", signed=self.signed)
 
     def decoded(self, data: bytes) -> int:
-        """Return the value of the bytes."""
+        """Return the value that the bytes encode."""
         return int.from_bytes(data, "little", signed=self.signed)
 
 
 @dataclass(frozen=True, slots=True)
 class DynamixelModel:
-    """A servo; table.toml explains the fields. stall: the stall points, each (V, A, N m)."""
+    """A DYNAMIXEL model; table.toml explains the fields. stall: the stall points, each as (V, A, N m)."""
 
     name: str
     protocol: int
@@ -49,20 +49,20 @@ class DynamixelModel:
 
     @property
     def torque_constant(self) -> float:
-        """N m/A at the horn, estimated from the stall points. NaN where the servo measures no current."""
+        """N m/A at the horn, estimated from the stall points; NaN if the servo measures no current."""
         return fmean(torque / current for _, current, torque in self.stall) if self.stall else math.nan
 
 
 @cache
 def registers(protocol: int) -> dict[str, DynamixelRegister]:
-    """Return the registers by name, of the X series (protocol 2) or of the MX servos (protocol 1)."""
+    """Return the registers by name: of the X series for `protocol` 2, of the MX servos for `protocol` 1."""
     rows = table("dynamixel")["registers" if protocol == 2 else "mx_registers"]
     return {name: DynamixelRegister(*row) for name, row in rows.items()}
 
 
 @cache
 def models() -> dict[str, DynamixelModel]:
-    """Return the servos by name."""
+    """Return the DYNAMIXEL models by name."""
     rows: dict[str, dict[str, object]] = table("dynamixel")["models"]
     return {
         name: DynamixelModel(name, **{"protocol": 2} | row | {"stall": tuple(tuple(point) for point in row["stall"])})  # type: ignore[arg-type,attr-defined]  # TOML is Any

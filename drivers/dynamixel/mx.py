@@ -1,11 +1,11 @@
 """MX-64 and MX-106 on protocol 1.0.
 
-A tick reads 36 to 69: Present Position, Speed, Load, Voltage, Temperature, Realtime Tick and Current. There is no bus
-watchdog. Torque is commanded in torque control mode (70, 71), position in multi-turn mode. Source: e-manual,
-emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. The manual does not say, and this module assumes, that a
-positive current and a positive Goal Torque both turn counter-clockwise, in which the position grows. It does not say
-either whether the position counts turns in torque control mode, so turns are always counted here, which needs less than
-half a turn between two readings.
+A tick reads the addresses 36 to 69: Present Position, Speed, Load, Voltage, Temperature, Realtime Tick and Current.
+There is no bus watchdog. Torque is commanded in torque control mode (70, 71), position in multi-turn mode. Source:
+e-manual, emanual.robotis.com/docs/en/dxl/mx/mx-64/ and .../mx-106/. Two things are not in the manual. This module
+assumes that a positive current and a positive Goal Torque both turn counter-clockwise, in which the position grows.
+This module always counts turns itself, because the position may or may not count turns in torque control mode; the
+motor must therefore turn less than half a turn between two readings.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class MxSeries:
         self._position = 0
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Return model number and firmware, from the control table: a ping does not return them."""
+        """Read model number and firmware from the control table, because the reply to a ping does not hold them."""
         bus.ping(0)
         data = bus.read(0, 3)
         self._has_tick = data[2] >= _TICK_FIRMWARE
@@ -78,7 +78,7 @@ class MxSeries:
         )
 
     def ceiling(self, torque: float) -> int:
-        """Return the counts of Torque Limit(34) and of Goal Torque(71)."""
+        """Return `torque`, N m, in counts of Torque Limit(34) and Goal Torque(71)."""
         return min(math.floor(torque / self._limit_lsb + 1e-9), self._model.current_max)
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
@@ -94,7 +94,7 @@ class MxSeries:
         table.settings.require("torque_limit", ceiling)
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """Write zero torque or the present position."""
+        """Write a set-point of zero torque, or of the present position in a position mode."""
         del ceiling
         table.settings.require("goal_torque", 0)
         table.settings.require("torque_control", int(self._torque_mode))
@@ -114,21 +114,25 @@ class MxSeries:
         return register.address, register.encoded(clipped - turns_off), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """Read the error bits of a reply; see `Series`."""
+        """Raise DeviceFault if a reply carries hardware errors; see `Series`."""
         del table
         bus.ping(0)
         if bus.alert:
             raise shut_down(bus.alert)
 
     def raise_stopped(self, bus: Bus, table: ControlTable) -> None:
-        """Check Torque Limit(34), which a shutdown sets to zero, and the torque, which a restart switches off."""
+        """Raise DeviceFault if Torque Limit(34) is zero, as after a shutdown, or the torque is off, as after a
+        restart.
+        """
         if table.get("torque_limit") == 0:
             raise shut_down(bus.alert)
         if table.get("torque_enable") == 0 or table.get("torque_control") != int(self._torque_mode):
             raise reboot()
 
     def _unwrapped(self, raw: int) -> int:
-        """Return the position over any number of turns, whether the servo counts them or not."""
+        """Return the position over any number of turns, even if the servo's own position begins again after one
+        turn.
+        """
         if self._raw is None:
             self._position = raw
         else:
@@ -138,5 +142,5 @@ class MxSeries:
 
 
 def _signed(value: int) -> int:
-    """Return the value of a number whose bit 10 means clockwise."""
+    """Return the signed value of a number in which bit 10 means clockwise."""
     return -(value & (_CLOCKWISE - 1)) if value & _CLOCKWISE else value & (_CLOCKWISE - 1)

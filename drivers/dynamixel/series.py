@@ -1,4 +1,4 @@
-"""The interface to one series of DYNAMIXEL servos: its registers, modes, units and faults."""
+"""What a series of DYNAMIXEL servos must implement: its registers, modes, units and faults."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 
 class DynamixelState(NamedTuple):
-    """One reading at the horn, with the servo's own sign. tick: ms of its clock, None if it cannot be read.
+    """One reading at the horn, with the servo's own sign. tick: ms on the servo's clock, None if the clock cannot be
+    read.
 
-    position in counts over any number of turns, velocity rad/s, current A (NaN if none is measured), voltage V,
-    temperature degC.
+    position: counts over any number of turns. velocity: rad/s. current: A, NaN if none is measured. voltage: V.
+    temperature: degC.
     """
 
     tick: int | None
@@ -30,11 +31,12 @@ class DynamixelState(NamedTuple):
 
 
 class Series(Protocol):
-    """One servo of a series. It keeps state between two readings, so each servo has its own.
+    """One servo of a DYNAMIXEL series. It stores state between two readings, so each servo needs its own object.
 
-    block: address and size of what a tick reads. velocity_lsb: rad/s. eeprom_end: as in `ControlTable`. off: the
-    registers whose zero takes the torque off, in the order in which they are written where no reply comes.
-    zero_after_off: those which would act when the torque is switched on again.
+    block: address and size of the registers that a tick reads. velocity_lsb: rad/s in one count of velocity.
+    eeprom_end: first address after the EEPROM. off: the registers that switch the torque off when zero is written, in
+    the order in which another process writes them. zero_after_off: registers to set to zero afterwards, because they
+    would act when the torque is switched on again.
     """
 
     wire: Wire
@@ -49,19 +51,26 @@ class Series(Protocol):
         """Return model number and firmware."""
 
     def state(self, raw: bytes) -> DynamixelState:
-        """Return the reading in the bytes of `block`."""
+        """Decode the bytes of `block`."""
 
     def ceiling(self, torque: float) -> int:
-        """Return `torque` N m in counts of the servo's torque limit, rounded down; 0 if it has none."""
+        """Return `torque`, N m, in counts of the servo's torque limit, rounded down; 0 if the servo has no torque
+        limit.
+        """
 
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
-        """With the torque off, write mode and limits and read them back."""
+        """Write mode and limits and read them back. The torque must be off. ceiling: the torque limit in counts."""
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """Write a set-point that causes no step, and the watchdog; the caller then switches the torque on."""
+        """Write a set-point that causes no step, and the watchdog. The caller then switches the torque on. ceiling: the
+        torque limit in counts.
+        """
 
     def goal(self, counts: int, ceiling: int) -> tuple[int, bytes, int]:
-        """Return address and bytes of a set-point of `counts` of current or position, and its counts after clamping."""
+        """Clamp a set-point of `counts` (of current or position). Return its address, its bytes and the clamped counts.
+
+        ceiling: the torque limit in counts.
+        """
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault if an error is latched."""

@@ -1,7 +1,7 @@
 """DYNAMIXEL servos on a serial port as a `drivers.servo.Servo`. Wiring and limits: docs/dynamixel.md.
 
-A tick is one round trip: a Sync Write of the set-point, which has no reply, sent together with a Read of one block that
-holds all measurements. The modules `x` and `mx` hold what differs between the series.
+A tick is one round trip: a Sync Write of the set-point, which has no reply, is sent together with a Read of one block
+that holds all measurements. The modules `x` and `mx` hold the differences between the two series.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _TRIES = 3
 
 
 class DynamixelServo:
-    """One servo, opened, identified, with its torque off and its return delay as in a run.
+    """One servo that is open and identified, with its torque off.
 
-    clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
-    gives the constant. Raises DriverError if the port cannot be opened or another model replies, NoReply if no
-    servo does, BadReply if the replies cannot be decoded.
+    clock, port: given by tests; None uses the real clock and opens the port of `config`. info.torque_uncertainty is NaN
+    if stand.toml states the torque constant. Raises DriverError if the port cannot be opened or another model replies,
+    NoReply if no servo replies, BadReply if the replies cannot be decoded.
     """
 
     def __init__(self, config: DynamixelConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
@@ -72,15 +72,17 @@ class DynamixelServo:
 
     @property
     def device_time(self) -> float:
-        """The time of the last sample on the servo's own clock, s since the first one, in steps of 1 ms."""
+        """The time of the last sample on the servo's own clock, in s since the first sample, with a resolution of 1
+        ms.
+        """
         return self._tick.seconds
 
     def arm(self, limits: Limits) -> None:
         """Write mode, limits and watchdog into the servo, read them back, and switch the torque on at zero current.
 
-        In the position modes the servo then holds its position. Torque, temperature and velocity limits are written to
-        the servo's registers, each no higher than the model's.
-        Raises DeviceFault if a fault is latched, DriverError if a register is refused; the torque is off then.
+        In the position modes the servo then holds its position. The limits of torque, temperature and velocity are
+        written to the servo's registers, each no higher than the model's own limit. Raises DeviceFault if a fault is
+        latched, DriverError if the servo refuses a value; the torque is off then.
         """
         self._ceiling = ceiling = self._torque_counts(limits)
         with self._gate.arming(limits):
@@ -92,8 +94,9 @@ class DynamixelServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        `Command.rest()` in a position mode writes nothing: the servo holds its position. Raises UnsafeCommand, NoReply,
-        BadReply, LinkLost, and DeviceFault where the servo has latched a fault, restarted, or tripped its watchdog.
+        In a position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
+        NoReply, BadReply, LinkLost, and DeviceFault if the servo has latched a fault, was restarted, or its watchdog
+        has tripped.
         """
         goal, saturated = self._goal(self._gate.admit(command))
         sent = self.clock.now()
@@ -165,7 +168,7 @@ class DynamixelServo:
         return self._model.current_lsb * self._constant
 
     def _torque_counts(self, limits: Limits) -> int:
-        """Return the torque limit in counts of current. Raises DriverError if it is below one."""
+        """Return the torque limit in counts of current. Raises DriverError if it is below one count."""
         if not self._model.current_lsb:
             return 0
         counts = self._series.ceiling(limits.torque)
@@ -177,7 +180,7 @@ class DynamixelServo:
         return counts
 
     def _enable(self, ceiling: int) -> None:
-        """Switch the torque on at zero current, or at the present position."""
+        """Switch the torque on at zero current, or at the present position. ceiling: the torque limit in counts."""
         self._series.enable(self._bus, self._table, ceiling)
         self._table.put("torque_enable", 1)
         if self._table.get("torque_enable") != 1:
@@ -186,7 +189,9 @@ class DynamixelServo:
         self._last_request = self.clock.now()
 
     def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
-        """Return address and bytes of the set-point, None if nothing is written; and whether it was clipped."""
+        """Return (address, bytes) of the set-point, or None if nothing is written; and whether the set-point was
+        clipped.
+        """
         command = admitted.command
         if command is None:
             return None, False
@@ -218,7 +223,9 @@ class DynamixelServo:
         )
 
     def _refuse_impossible(self) -> None:
-        """Raise for an impossible tick: DeviceFault for a servo that restarted, else BadReply for a late reply."""
+        """Raise the error for a sample that contradicts the servo's clock: DeviceFault if the servo restarted, else
+        BadReply.
+        """
         self._impossible += 1
         if self._impossible == _TRIES or not self._gate.armed:
             self._tick.restart()
@@ -228,7 +235,7 @@ class DynamixelServo:
         raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
 
     def _look_for_faults(self) -> None:
-        """Raise DeviceFault if the servo has latched an error or stopped by itself."""
+        """Raise DeviceFault if the servo has latched an error or has stopped by itself."""
         self._series.raise_latched(self._bus, self._table)
         if self._gate.armed:
             self._series.raise_stopped(self._bus, self._table)

@@ -1,4 +1,4 @@
-"""The two protocols of DYNAMIXEL: encoding of requests and decoding of replies, without I/O.
+"""The two DYNAMIXEL protocols: encode requests and decode replies. No I/O.
 
 Source: e-manual, emanual.robotis.com/docs/en/dxl/protocol1/ and .../protocol2/.
 """
@@ -29,9 +29,10 @@ _REFUSALS_2 = {
 
 
 class Wire2:
-    """Protocol 2.0.
+    """DYNAMIXEL protocol 2.0.
 
-    The SDK does not stuff a request that contains FF FF FD and unstuffs some replies wrongly, so both are done here.
+    dynamixel-sdk does not stuff a request that contains FF FF FD, and unstuffs some replies wrongly. This class does
+    both instead.
     """
 
     status_size = 11
@@ -48,7 +49,7 @@ class Wire2:
         return frame + self._checksum(frame)
 
     def place(self, *numbers: int) -> bytes:
-        """Return two bytes for each."""
+        """Return addresses and lengths as two bytes each."""
         return b"".join(number.to_bytes(2, "little") for number in numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
@@ -58,7 +59,7 @@ class Wire2:
         return bytes(raw), result
 
     def opened(self, raw: bytes) -> Answer | None:
-        """See `Wire`. alert: the alert bit, 0x80."""
+        """See `Wire`. The alert is bit 0x80 of the error byte."""
         body = raw[7 : 5 + int.from_bytes(raw[5:7], "little")].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
         if body[:1] != bytes([_STATUS]) or len(body) < 2:
             return None

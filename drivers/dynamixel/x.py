@@ -1,8 +1,8 @@
-"""The X series on protocol 2.0.
+"""The DYNAMIXEL X series on protocol 2.0.
 
-A tick reads 120 to 146: Realtime Tick, Present Current, Velocity, Position, Input Voltage and Temperature, all of one
-moment. Source: e-manual, emanual.robotis.com/docs/en/dxl/x/xm430-w350/ (the other models' pages differ in numbers
-only, which are in table.toml).
+A tick reads the addresses 120 to 146: Realtime Tick, Present Current, Velocity, Position, Input Voltage and
+Temperature, all sampled at one moment. Source: e-manual, emanual.robotis.com/docs/en/dxl/x/xm430-w350/ (the pages of
+the other models differ only in numbers, which are in table.toml).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class XSeries:
         self._torque_lsb = torque_lsb
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Return model number and firmware, from a ping."""
+        """Return model number and firmware from the reply to a ping."""
         data = bus.ping(3)
         return int.from_bytes(data[:2], "little"), data[2]
 
@@ -63,7 +63,7 @@ class XSeries:
         return DynamixelState(tick, position, velocity * VELOCITY_LSB, amperes, voltage * 0.1, float(temperature))
 
     def ceiling(self, torque: float) -> int:
-        """Return the counts of Current Limit(38)."""
+        """Return `torque`, N m, in counts of Current Limit(38)."""
         if not self._model.current_lsb:
             return 0
         return min(math.floor(torque / self._torque_lsb + 1e-9), self._model.current_max)
@@ -81,7 +81,7 @@ class XSeries:
             table.settings.require("current_limit", ceiling)
 
     def enable(self, bus: Bus, table: ControlTable, ceiling: int) -> None:
-        """Write zero current or the present position, then the watchdog."""
+        """Write a set-point of zero current or of the present position, then the watchdog."""
         del bus
         if self._mode == "current":
             table.settings.require("goal_current", 0)
@@ -107,7 +107,7 @@ class XSeries:
         return register.address, register.encoded(clipped), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """Read Hardware Error Status(70); see `Series`."""
+        """Raise DeviceFault if Hardware Error Status(70) is not zero; see `Series`."""
         del bus
         bits = table.get("hardware_error_status")
         if bits:

@@ -1,8 +1,8 @@
-"""The block of measurements that one tick reads, and how a late reply to another request is recognised.
+"""The block of registers that a tick reads from a Feetech servo, and how a late reply to another request is recognised.
 
-The block is 56 to 70, Present Position to Present Current; an SCS ends at 66. A reply names neither its request nor its
-time. So consecutive requests begin a different number of bytes before the block: a reply of the wrong length belongs to
-another request, and no length is used again while a lost reply of that length may still arrive.
+The block holds the addresses 56 to 70, Present Position to Present Current; for an SCS it ends at 66. A reply names
+neither its request nor its time. So consecutive requests begin a different number of bytes before the block: a reply of
+the wrong length belongs to another request. No length is used again while a lost reply of that length may still arrive.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from drivers.feetech.models import CURRENT_LSB, SPEED_UNIT, FeetechModel, signed
 START = 56
 _LENGTHS = 6
 _LATEST = 1.0
-"""s after which a lost reply does not arrive any more."""
+"""s after which a lost reply no longer arrives."""
 
 
 class FeetechState(NamedTuple):
     """One reading with the servo's own sign.
 
-    raw: the position in counts, as the servo gives it. velocity rad/s, current A, voltage V, temperature degC.
+    raw: position in counts, as the servo reports it. velocity: rad/s. current: A. voltage: V. temperature: degC.
     """
 
     raw: int
@@ -31,7 +31,9 @@ class FeetechState(NamedTuple):
 
 
 class Block:
-    """The measurements of one servo of `model`. speed_unit: steps/s in one count of speed."""
+    """Builds the read requests for the measurements of one servo of `model`, and decodes the replies. speed_unit:
+    steps/s in one count of speed.
+    """
 
     def __init__(self, model: FeetechModel) -> None:
         self.speed_unit = 1 if model.family == "scs" else SPEED_UNIT
@@ -43,22 +45,22 @@ class Block:
 
     @property
     def velocity_lsb(self) -> float:
-        """rad/s in one count."""
+        """rad/s in one count of speed."""
         return self.speed_unit * self._model.position_lsb
 
     def request(self, now: float) -> tuple[int, int]:
-        """Return address and size to read at `now` s."""
+        """Return the address and the size that the read at `now`, s, must use."""
         self._lost = {length: until for length, until in self._lost.items() if until > now}
         order = [(self._last + step) % _LENGTHS for step in range(1, _LENGTHS + 1)]
         self._last = next((extra for extra in order if extra not in self._lost), order[0])
         return START - self._last, self._size + self._last
 
     def lost(self, now: float) -> None:
-        """Note that the last request got no valid reply by `now` s: it may still arrive."""
+        """Record that the reply to the last request is missing at `now`, s. It may still arrive."""
         self._lost[self._last] = now + _LATEST
 
     def state(self, raw: bytes) -> FeetechState:
-        """Return the reading in a reply to the last request."""
+        """Decode the reply to the last request."""
         data = raw[self._last :]
         return FeetechState(
             signed(self._word(data, 0), 15),

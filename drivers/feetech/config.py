@@ -18,7 +18,7 @@ else:
 
 Mode = Literal["torque", "position"]
 Baudrate = Literal[1000000, 500000, 250000, 128000, 115200, 76800, 57600, 38400]
-"""bit/s by the value of Baud Rate(6), from 0 on."""
+"""bit/s, in the order of the values 0, 1, 2 ... of the register Baud Rate(6)."""
 
 _CELL = 'put a torque cell at the joint ([joint_sensor] and torque_source = "joint"), and record with --mode position'
 
@@ -53,17 +53,21 @@ class FeetechConfig:
 
     @property
     def constant(self) -> float:
-        """N m/A; 0 where the current says nothing of the torque."""
+        """The torque constant, N m/A; 0 if the torque cannot be inferred from the current."""
         model = models()[self.model]
         return (self.torque_constant or model.torque_constant) if model.has_current else 0.0
 
     @property
     def effective_mode(self) -> Mode:
-        """The mode; torque where `mode` is None and the model has it."""
+        """The operating mode: `mode`, or, if `mode` is None, torque for a model with a torque mode and position
+        otherwise.
+        """
         return self.mode or ("torque" if models()[self.model].has_torque_mode else "position")
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the configuration that commands `quantity`. Raises ValueError if the model or `mode` cannot."""
+        """Return the configuration that commands `quantity`. Raises ValueError if the model or the stated `mode` cannot
+        command it.
+        """
         mode: Mode = "torque" if quantity is Quantity.TORQUE else "position"
         if mode == "torque" and not models()[self.model].has_torque_mode:
             raise ValueError(
@@ -74,7 +78,9 @@ class FeetechConfig:
         return replace(self, mode=mode)
 
     def restrictions(self, torque_source: str) -> list[str]:
-        """Return what the servo cannot do where the stand's torque comes from `torque_source`, with the remedies."""
+        """Return sentences about what the servo cannot do, with remedies. torque_source: the stand's source of torque,
+        such as "motor".
+        """
         return [self._torque_restriction(models()[self.model])] if torque_source == "motor" else []
 
     def _torque_restriction(self, model: FeetechModel) -> str:

@@ -1,4 +1,6 @@
-"""The errors that a servo reports in every reply, with the remedy. Source: memory tables, "Servo status" (65)."""
+"""The errors that a Feetech servo reports in every reply, each with its remedy. Source: memory tables, "Servo status"
+(65).
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,11 @@ from drivers.servo import DeviceFault
 from drivers.tables import texts_of
 
 ALERTS = 0x7F
-"""The bits of the error byte: all are errors of the servo, none is about the request."""
+"""The error bits of the error byte. All of them are errors of the servo; none says that the request was wrong."""
 RESTARTED = 0x100
-"""Our code for a servo whose torque went off by itself and left no error: above every value of the status."""
+"""Fault code of this project: the torque is off although the servo reports no error, so the servo was restarted. It is
+above every value of the status byte.
+"""
 
 _STATUS = {
     0x01: "its supply voltage is outside its limits: check the supply and the cable",
@@ -21,7 +25,7 @@ _STATUS = {
 
 
 def reported(bits: int) -> DeviceFault:
-    """Return the error for a status of `bits`."""
+    """Return the error for the value `bits` of the servo's status byte."""
     return DeviceFault(
         bits, f"the servo reports error {bits}: {texts_of(bits, _STATUS)}; then switch its power off and on"
     )

@@ -1,4 +1,6 @@
-"""The identification of a servo: the model of the stand file, with firmware that has its registers, and alone."""
+"""Identify a servo: check that it is the model of the stand file, that its firmware has the needed registers, and that
+no second servo replies.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +27,10 @@ _PATIENCE = 0.02  # s
 
 
 def identify(bus: Bus, config: FeetechConfig) -> str:
-    """Check the model, keep its EEPROM from being changed, and make it reply to everything. Returns its firmware.
+    """Check the model, lock the servo's EEPROM, and make the servo reply to every request. Return its firmware version.
 
-    Raises NoReply, BadReply if several servos reply at once, DriverError for another model, an unknown one (with its
-    registers), or firmware without the registers that are needed.
+    Raises NoReply, BadReply if several servos reply at once, DriverError for another model, for an unknown model (the
+    message lists its registers), or for firmware without the needed registers.
     """
     try:
         head = retry(lambda: bus.read(0, 5))
@@ -46,7 +48,7 @@ def identify(bus: Bus, config: FeetechConfig) -> str:
 
 
 def _check(bus: Bus, config: FeetechConfig, head: bytes) -> None:
-    """Raise DriverError if bytes 0 to 4 are not those of the model in the stand file."""
+    """Raise DriverError if `head`, the bytes 0 to 4 of the memory, are not those of the model in the stand file."""
     model = models()[config.model]
     number, firmware = (head[3], head[4]), (head[0], head[1])
     name = name_of(number)
@@ -69,7 +71,7 @@ def _check(bus: Bus, config: FeetechConfig, head: bytes) -> None:
 
 
 def _dump(bus: Bus) -> str:
-    """Return the memory as text, as far as the servo lets itself be read."""
+    """Return the servo's memory as text, as far as the servo permits to read it."""
     lines = []
     for first in range(0, _MEMORY, _LINE):
         size = min(_LINE, _MEMORY - first)
@@ -81,7 +83,9 @@ def _dump(bus: Bus) -> str:
 
 
 def search(config: FeetechConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo on the port; see `search_every_rate`. Nothing is written; 1 s a rate."""
+    """Return a sentence for every servo on the port; see `search_every_rate`. Nothing is written. A baud rate takes 1
+    s.
+    """
     clock = clock or MonotonicClock()
 
     def name(line: SerialPort, ident: int, _number: int) -> str:

@@ -1,4 +1,4 @@
-"""The servos and registers in table.toml, which names its sources."""
+"""The Feetech models and registers of table.toml, which also names its sources."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ Family = Literal["sts", "hls", "scs"]
 
 @dataclass(frozen=True, slots=True)
 class FeetechRegister:
-    """An item of the memory table; size in bytes. sign_bit: 0 where unsigned. big: the high byte comes first."""
+    """An item of the memory table. size: bytes. sign_bit: the bit that means negative, 0 if the value is unsigned. big:
+    whether the high byte comes first.
+    """
 
     address: int
     size: int
@@ -27,7 +29,7 @@ class FeetechRegister:
     big: bool
 
     def encoded(self, value: int) -> bytes:
-        """Return the bytes of `value`, magnitude and sign. Raises OverflowError if it does not fit."""
+        """Return `value` as bytes, encoded as magnitude and sign bit. Raises OverflowError if it does not fit."""
         limit = 1 << (self.sign_bit or 8 * self.size)
         if abs(value) >= limit or (value < 0 and not self.sign_bit):
             raise OverflowError(f"{value} does not fit into the {self.size} byte(s) at {self.address}")
@@ -35,20 +37,20 @@ class FeetechRegister:
         return raw.to_bytes(self.size, "big" if self.big else "little")
 
     def decoded(self, data: bytes) -> int:
-        """Return the value of the bytes."""
+        """Return the value that the bytes encode."""
         raw = int.from_bytes(data, "big" if self.big else "little")
         return signed(raw, self.sign_bit) if self.sign_bit else raw
 
 
 def signed(raw: int, sign_bit: int) -> int:
-    """Return the value of a magnitude whose bit `sign_bit` says that it is negative."""
+    """Return the signed value of `raw`, a magnitude in which bit `sign_bit` means negative."""
     magnitude = raw & ((1 << sign_bit) - 1)
     return -magnitude if raw >> sign_bit & 1 else magnitude
 
 
 @dataclass(frozen=True, slots=True)
 class FeetechModel:
-    """A servo; table.toml explains the fields."""
+    """A Feetech model; table.toml explains the fields."""
 
     name: str
     family: Family
@@ -60,28 +62,28 @@ class FeetechModel:
 
     @property
     def has_torque_mode(self) -> bool:
-        """Return whether a current can be commanded."""
+        """Return whether the servo accepts a current as set-point."""
         return self.family == "hls"
 
     @property
     def has_current(self) -> bool:
-        """Return whether a current is measured."""
+        """Return whether the servo measures its current."""
         return self.family != "scs"
 
     @property
     def position_lsb(self) -> float:
-        """rad in one count: a turn has 4096; an SCS has 1024 over 300 degrees."""
+        """rad in one count of position: a turn has 4096 counts; an SCS has 1024 counts over 300 degrees."""
         return math.radians(300.0) / 1024.0 if self.family == "scs" else math.tau / 4096.0
 
     @property
     def turn(self) -> int:
-        """Counts after which the position begins again; 0 if it does not."""
+        """Number of counts after which the position begins again at zero; 0 if it never does."""
         return 0 if self.family == "scs" else 4096
 
 
 @cache
 def registers(family: Family) -> dict[str, FeetechRegister]:
-    """Return the registers of a family by name."""
+    """Return the registers of a model family by name."""
     rows = table("feetech")["registers"][family]
     big = family == "scs"
     return {name: FeetechRegister(address, size, bit, big) for name, (address, size, bit) in rows.items()}
@@ -89,7 +91,7 @@ def registers(family: Family) -> dict[str, FeetechRegister]:
 
 @cache
 def models() -> dict[str, FeetechModel]:
-    """Return the servos by name."""
+    """Return the Feetech models by name."""
     rows: dict[str, dict[str, object]] = table("feetech")["models"]
     pairs = ("number", "firmware")
     return {
@@ -99,5 +101,5 @@ def models() -> dict[str, FeetechModel]:
 
 
 def name_of(number: tuple[int, int]) -> str:
-    """Return the name of the servo with main and sub version `number`, "" if it is not known."""
+    """Return the name of the model whose main and sub version are `number`; "" if it is not known."""
     return next((name for name, model in models().items() if model.number == number), "")

@@ -1,8 +1,8 @@
 """Feetech servos on a serial port as a `drivers.servo.Servo`. Wiring and limits: docs/feetech.md.
 
-A tick is one round trip: a Sync Write of the set-point, which has no reply, sent together with a Read of the block that
-holds all measurements. An STS or SCS takes positions; an HLS takes currents too. None has a watchdog. The EEPROM is
-locked while a run changes what lies in it, so that nothing of it outlives the power.
+A tick is one round trip: a Sync Write of the set-point, which has no reply, is sent together with a Read of the block
+that holds all measurements. An STS or SCS takes positions as set-points; an HLS takes currents too. No Feetech servo
+has a watchdog. During a run the EEPROM is locked, so that settings changed by the run are lost without power.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _EVERYTHING = 256  # an address above all: every setting is restored
 
 
 class FeetechServo:
-    """One servo, opened, identified, with its torque off.
+    """One servo that is open and identified, with its torque off.
 
-    clock, port: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml
-    gives the constant. Raises DriverError if the port cannot be opened or another model replies, NoReply if no
-    servo does, BadReply if the replies cannot be decoded.
+    clock, port: given by tests; None uses the real clock and opens the port of `config`. info.torque_uncertainty is NaN
+    if stand.toml states the torque constant. Raises DriverError if the port cannot be opened or another model replies,
+    NoReply if no servo replies, BadReply if the replies cannot be decoded.
     """
 
     def __init__(self, config: FeetechConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
@@ -80,9 +80,9 @@ class FeetechServo:
     def arm(self, limits: Limits) -> None:
         """Write mode and limits into the servo, read them back, and switch the torque on at zero current.
 
-        In position mode the servo then holds its position. The torque limit is rounded down; temperature and velocity
-        limits are written too, the first no higher than the factory's.
-        Raises DeviceFault if an error is reported, DriverError if a register is refused; the torque is off then.
+        In position mode the servo then holds its position. The torque limit is rounded down. The limits of temperature
+        and velocity are written too; the temperature limit is no higher than the factory's. Raises DeviceFault if the
+        servo reports an error, DriverError if the servo refuses a value; the torque is off then.
         """
         ceiling = self._torque_counts(limits)
         with self._gate.arming(limits):
@@ -94,8 +94,8 @@ class FeetechServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        `Command.rest()` in position mode writes nothing: the servo holds its position. Raises UnsafeCommand, NoReply,
-        BadReply, LinkLost, and DeviceFault where the servo reports an error or was restarted.
+        In position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
+        NoReply, BadReply, LinkLost, and DeviceFault if the servo reports an error or was restarted.
         """
         goal, saturated = self._goal(self._gate.admit(command))
         if self._gate.armed and (self._doubtful or self.clock.now() - self._last_reply > _GAP):
@@ -122,7 +122,9 @@ class FeetechServo:
         self._gate.close(self._restore)
 
     def _restore(self) -> None:
-        """Restore what the run changed, unless the motor may be live: the torque limit is among it."""
+        """Restore the settings that the run changed, but only if the torque is off: one of these settings is the torque
+        limit.
+        """
         if not self._gate.live:
             self._table.settings.restore()
 
@@ -140,7 +142,7 @@ class FeetechServo:
 
     @property
     def _off(self) -> list[str]:
-        """The registers that are zero when the torque is off."""
+        """Names of the registers to which zero is written to switch the torque off."""
         return [name for name in ("torque_enable", "torque_limit", "goal_torque") if name in self._registers]
 
     def _torque_off(self, _request: int) -> None:
@@ -153,7 +155,7 @@ class FeetechServo:
             raise
 
     def _switch(self, *, on: bool) -> None:
-        """Write Torque Enable(40), 0 or 1 and nothing else, and read it back. Raises DriverError if it differs."""
+        """Write Torque Enable(40), 0 or 1, and read it back. Raises DriverError if the servo reports another value."""
         self._table.put("torque_enable", int(on))
         # three bytes, so that the late reply to another request cannot be taken for the confirmation
         if self._bus.read(self._registers["torque_enable"].address, 3)[0] != int(on):
@@ -184,7 +186,7 @@ class FeetechServo:
         )
 
     def _torque_counts(self, limits: Limits) -> int:
-        """Return the torque limit in the servo's counts. Raises DriverError if it is below one."""
+        """Return the torque limit in the servo's counts. Raises DriverError if it is below one count."""
         lsb = self._torque_lsb if self._model.has_torque_mode else self._model.stall / 1000.0
         counts = min(math.floor(limits.torque / lsb + 1e-9), _HIGHEST_CURRENT if self._model.has_torque_mode else 1000)
         if counts < 1:
@@ -195,7 +197,7 @@ class FeetechServo:
         return counts
 
     def _prepare(self, limits: Limits, ceiling: int) -> None:
-        """With the torque off, write mode and limits and read them back."""
+        """Write mode and limits and read them back. The torque must be off. ceiling: the torque limit in counts."""
         require = self._table.settings.require
         require("lock", 1)
         if "operating_mode" in self._registers:
@@ -223,7 +225,9 @@ class FeetechServo:
         self._last_reply = self.clock.now()
 
     def _find_range(self) -> None:
-        """Find the goals that the servo accepts. Raises DriverError if the present position is not among them."""
+        """Read the range of goal positions that the servo accepts. Raises DriverError if the present position is
+        outside.
+        """
         low, high = self._table.get("min_position_limit"), self._table.get("max_position_limit")
         if low == high == 0 and self._model.turn:
             low, high = -_LARGEST, _LARGEST
@@ -235,7 +239,9 @@ class FeetechServo:
         self._range = (low, high)
 
     def _goal(self, admitted: Admitted) -> tuple[tuple[int, bytes] | None, bool]:
-        """Return address and bytes of the set-point, None if nothing is written; and whether it was clipped."""
+        """Return (address, bytes) of the set-point, or None if nothing is written; and whether the set-point was
+        clipped.
+        """
         command = admitted.command
         if command is None:
             return None, False
@@ -264,7 +270,9 @@ class FeetechServo:
         )
 
     def _follow(self, raw: int) -> None:
-        """Take a new position; one that begins again after a turn is counted on, from less than half a turn."""
+        """Store a new raw position and count the turns; between two readings the motor must turn less than half a
+        turn.
+        """
         turn = self._model.turn
         if self._raw is None:
             self._position = raw

@@ -1,4 +1,4 @@
-"""Conversion of time stamps from a board's clock to the host's."""
+"""Convert time stamps of a board's clock to the host's clock."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ _SLACK = 0.5  # s of difference between the clocks from which the board counts a
 
 
 class BoardClock:
-    """Converts the microseconds of a board to the host's clock.
+    """Converts the microsecond counts of a board to times on the host's clock.
 
-    A line can arrive late, never early, so the line with the smallest delay gives the offset between the clocks. The
-    offset may grow by the relative error of the board's clock, so that it follows a board that runs slow.
+    A line can arrive late, but never early. So the line with the smallest delay gives the offset between the two
+    clocks. The offset may grow by the largest relative error of the board's clock, so that a slow board clock is
+    followed too.
     """
 
     def __init__(self) -> None:
@@ -20,10 +21,11 @@ class BoardClock:
         self._offset = 0.0
 
     def place(self, micros: int, seen: float) -> float | None:
-        """Return the time on the host's clock, s, of the board's count `micros` in a line received by `seen` s.
+        """Return the time on the host's clock, s, at which the board's clock showed `micros`. seen: s, when the line
+        was received.
 
-        None where the count went back, or further than the time that has passed: the board was restarted, and the next
-        line starts a new conversion.
+        Returns None if the count went back, or advanced by more than the time between the lines: the board was
+        restarted. The next line then starts a new conversion.
         """
         if self._last is None:
             self._last = (micros, seen)
@@ -40,9 +42,10 @@ class BoardClock:
         return self._time + self._offset
 
     def late(self, taken: float, seen: float) -> bool:
-        """Return whether the newest line at `seen` s, `taken` s, is so old that the board was restarted.
+        """Return whether the newest reading is so old that the board must have been restarted. taken: its time, s;
+        seen: s, when it was received.
 
-        The count of a board that restarts soon after its start does not show the restart otherwise.
+        If a board restarts soon after its start, its count does not go back, so `place` cannot detect the restart.
         """
         if seen - taken <= _SLACK:
             return False

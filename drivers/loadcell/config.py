@@ -1,4 +1,4 @@
-"""The [joint_sensor] table of stand.toml for a torque cell on a serial port."""
+"""The [joint_sensor] table of stand.toml, for a torque cell on a serial port."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Decoding of the lines of a torque cell, without I/O."""
+"""Decode the lines that a torque cell prints. No I/O."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from drivers.loadcell.config import LineFormat
 
 FULL = 0x7FFFFF
-"""The largest count of a 24 bit converter; an HX711 stays at 7FFFFF or 800000 hex beyond its range."""
+"""The largest count of a 24 bit converter. Beyond its range an HX711 reports 7FFFFF or 800000 hex."""
 
 _RAW = re.compile(r"(\d{1,10}),(-?\d{1,7})")
 _VALUE = re.compile(r"-?\d+(\.\d*)?([eE][-+]?\d+)?")
@@ -20,16 +20,19 @@ _CHECKED = re.compile(r"(.*)\*([0-9A-Fa-f]{2})")
 
 
 class Reading(NamedTuple):
-    """One reading. micros: of the board's clock, None if not printed. value: in counts, or as printed."""
+    """One reading of the torque cell. micros: the board's clock, us; None if the line has no time. value: counts, or
+    the printed value.
+    """
 
     micros: int | None
     value: float
 
 
 def parsed(line: str, form: LineFormat) -> Reading:
-    """Return the reading in a line, which may end in `*` and the exclusive or of its characters in two hex digits.
+    """Decode a line. The line may end in a checksum: `*` and the exclusive or of its characters as two hex digits.
 
-    Raises BadReply if it has none, where it is damaged, or where the converter is beyond its range.
+    form: the content of a line, as in `LoadCellConfig.format`. Raises BadReply if the line holds no reading or is
+    damaged, or if the converter is beyond its range.
     """
     text = line.strip(" \t")
     checked = _CHECKED.fullmatch(text)

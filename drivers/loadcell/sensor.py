@@ -1,7 +1,7 @@
-"""A torque cell at the joint, on a board that prints what it reads: a `drivers.servo.JointSensor`.
+"""A torque cell at the joint, as a `drivers.servo.JointSensor`. A board prints its readings on a serial port.
 
-Boards, lines and calibration: docs/serial.md. The board prints cyclically: each read takes all received lines and
-returns the newest valid one.
+Boards, lines and calibration: docs/serial.md. The board prints without being asked: each read takes all received lines
+and returns the newest valid reading.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ if TYPE_CHECKING:
     from drivers.loadcell.config import LoadCellConfig
 
 TARE_READINGS = 16
-"""Readings for the tare while the cell is opened."""
+"""Number of readings from which the tare is taken when the cell is opened."""
 PATIENCE = 6.0
-"""s until they must have arrived: opening a port restarts many boards, which then boot and settle."""
+"""s to wait for the tare readings: opening a port restarts many boards, which then boot and settle."""
 _AT_ONCE = 4096  # bytes
 _UNTIMED = 0.05  # s; without the board's clock the time of a reading is only known to lie between two reads
 
 
 class LoadCell:
-    """An open cell, tared. The joint must be without torque while it is opened: the drive's torque is off then.
+    """An open torque cell with a known zero. The joint must be without torque while the cell is opened, so the drive's
+    torque must be off.
 
-    tare: the value without torque, in counts or as printed: the table's, or the median while the cell was opened.
-    Raises DriverError if the port cannot be opened or the zero has drifted, NoReply if too few readings arrive,
-    BadReply where the lines are not a torque cell's.
+    tare: the value without torque, in counts or as printed: from the stand file, or the median of the readings at
+    opening. Raises DriverError if the port cannot be opened or the zero has drifted, NoReply if too few readings
+    arrive, BadReply if the lines are not those of a torque cell.
     """
 
     def __init__(self, config: LoadCellConfig, *, clock: Clock, port: OpenPort | None = None) -> None:
@@ -55,9 +56,10 @@ class LoadCell:
             raise
 
     def read(self) -> tuple[float, float]:
-        """Return time, s, and joint torque, N m, of the newest reading; the last one again where none has arrived.
+        """Return the time, s, and the joint torque, N m, of the newest reading; the previous reading again if no new
+        one has arrived.
 
-        Raises BadReply if all new lines are damaged, LinkLost.
+        Raises LinkLost, and BadReply if all new lines are damaged.
         """
         readings, trouble = self._take()
         if readings:
@@ -67,7 +69,7 @@ class LoadCell:
         return self._newest
 
     def readings(self) -> list[tuple[float, float]]:
-        """Return times, s, and joint torques, N m, of all readings since the last one returned, oldest first.
+        """Return times, s, and joint torques, N m, of all readings that arrived since the last call, oldest first.
 
         Raises as `read`.
         """
@@ -81,7 +83,7 @@ class LoadCell:
         return out
 
     def close(self) -> None:
-        """Close the port. Harmless when closed."""
+        """Close the port. Has no effect if the port is closed already."""
         self._closed = True
         with contextlib.suppress(*GONE):
             self._port.close()
@@ -90,9 +92,10 @@ class LoadCell:
         self._newest = t, self._config.sign * self._config.scale * (value - self.tare)
 
     def _take(self, least: int = 0) -> tuple[list[tuple[float, float]], BadReply | None]:
-        """Return times, s, and values since the last read, oldest first, and the last error in a line.
+        """Return the new readings as (time s, value), oldest first, and the error of the last damaged line (None: no
+        damaged line).
 
-        least: bytes to wait for, no longer than the port does.
+        least: number of bytes to wait for, up to the read timeout of the port.
         """
         if self._closed:
             raise LinkLost(f"{self._config.port} is closed")
@@ -119,7 +122,10 @@ class LoadCell:
         return readings, trouble
 
     def _placed(self, reading: Reading, now: float, line: str, count: int) -> tuple[float, float]:
-        """Return its time, s, and value; `count` lines were read at `now`. Raises BadReply after a restart."""
+        """Return (time s, value) of a reading. Raises BadReply if the board was restarted.
+
+        now: s, when its line was read. count: number of lines that were read together at `now`.
+        """
         sending = 10.0 * (len(line) + 2) / self._config.baudrate
         if reading.micros is None:
             since = min(now - self._last_read, _UNTIMED * count) / count
@@ -130,7 +136,9 @@ class LoadCell:
         return t - sending - self._config.delay, reading.value
 
     def _zero(self, values: list[float]) -> float:
-        """Return the tare from `values` at rest. Raises DriverError if it has drifted or is not steady."""
+        """Return the tare from `values` measured without torque. Raises DriverError if the zero has drifted or is not
+        steady.
+        """
         config, middle = self._config, median(values)
         half = len(values) // 2
         wander = config.scale * (median(values[half:]) - median(values[:half]))
@@ -152,7 +160,7 @@ class LoadCell:
         return config.tare
 
     def _at_rest(self) -> list[tuple[float, float]]:
-        """Return the readings for the tare: times, s, and values. Raises NoReply, BadReply."""
+        """Wait for the readings for the tare and return them as (time s, value). Raises NoReply, BadReply."""
         deadline = self._clock.now() + PATIENCE
         values: list[tuple[float, float]] = []
         trouble: BadReply | None = None

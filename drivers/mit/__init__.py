@@ -1,1 +1,1 @@
-"""CubeMars AK and Damiao motors: MIT frames on CAN."""
+"""CubeMars AK and Damiao motors on CAN, which use the frames of the MIT mini-cheetah."""

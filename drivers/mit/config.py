@@ -54,12 +54,12 @@ class MitConfig:
 
     @property
     def bus(self) -> BusConfig:
-        """The bus."""
+        """The configuration of the CAN bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)
 
     @property
     def ranges(self) -> tuple[float, float, float]:
-        """Full scale of the counts: position rad, velocity rad/s, torque N m."""
+        """The values at full scale of the counts: position rad, velocity rad/s, torque N m."""
         model = models()[self.model]
         return (
             self.position_range or model.position,
@@ -69,7 +69,7 @@ class MitConfig:
 
     @property
     def reply_ids(self) -> frozenset[int]:
-        """The identifiers that its replies may have."""
+        """The CAN identifiers that the motor's replies may have."""
         if self.reply_id is not None:
             return frozenset({self.reply_id})
         return frozenset({0}) if models()[self.model].family == "damiao" else frozenset({0, self.id})

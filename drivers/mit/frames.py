@@ -1,7 +1,8 @@
-"""The frames of the MIT mini-cheetah protocol and of Damiao's registers; motors and errors from table.toml.
+"""The frames of the MIT mini-cheetah protocol and of Damiao's registers. Motors and errors are in table.toml.
 
-A command holds position (16 bits), velocity, kp, kd and torque (12 bits each), a reply the motor's id, position,
-velocity and torque; high bits first, each value mapped from its range onto all counts, so that zero lies between two.
+A command holds position (16 bits), velocity, kp, kd and torque (12 bits each). A reply holds the motor's id, position,
+velocity and torque. High bits come first. Each value's range is mapped to all counts, so that zero lies between two
+counts.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from drivers.tables import table
 
 Family = Literal["cubemars", "damiao"]
 REGISTERS_ID = 0x7FF
-"""The identifier on which a Damiao receives register requests."""
+"""The CAN identifier to which register requests for a Damiao are sent."""
 READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 ENTER, LEAVE, CLEAR = (bytes([0xFF] * 7 + [last]) for last in (0xFC, 0xFD, 0xFB))
 RESTARTED = 0x100
-"""Our code for a motor that stopped following while armed and reports no error."""
+"""Fault code of this project: the motor no longer follows the command while armed, and reports no error."""
 DISABLED, ENABLED = 0, 1
 LOST_COMMUNICATION = 13
 _TOP16, _TOP12 = 0xFFFF, 0xFFF
@@ -28,7 +29,7 @@ _TOP16, _TOP12 = 0xFFFF, 0xFFF
 
 @dataclass(frozen=True, slots=True)
 class MitModel:
-    """A motor; table.toml explains the fields."""
+    """A CubeMars or Damiao model; table.toml explains the fields."""
 
     family: Family
     position: float
@@ -39,7 +40,7 @@ class MitModel:
 
 @dataclass(frozen=True, slots=True)
 class DamiaoRegister:
-    """A register of a Damiao: its number and the layout of its value."""
+    """A register of a Damiao: its number and the `struct` layout of its value."""
 
     number: int
     layout: struct.Struct
@@ -47,7 +48,9 @@ class DamiaoRegister:
 
 @dataclass(frozen=True, slots=True)
 class MitState:
-    """A decoded reply: rad, rad/s, N m, degC. status: a Damiao's state or an AK's error code, 0 in short replies."""
+    """A decoded reply: position rad, velocity rad/s, torque N m, temperature degC. status: state of a Damiao, or error
+    code of an AK; 0 in short replies.
+    """
 
     position: float
     velocity: float
@@ -58,7 +61,7 @@ class MitState:
 
 @cache
 def models() -> dict[str, MitModel]:
-    """Return the motors by name."""
+    """Return the CubeMars and Damiao models by name."""
     return {name: MitModel(**row) for name, row in table("mit")["models"].items()}
 
 
@@ -71,7 +74,9 @@ def registers() -> dict[str, DamiaoRegister]:
 
 
 def fault(family: Family, status: int) -> DeviceFault:
-    """Return the error for an error code or status; RESTARTED for a status that is no error."""
+    """Return the error for `status`: an error code of an AK or a state of a Damiao. A status that is no error gives
+    RESTARTED.
+    """
     words = table("mit")["errors"][family].get(str(status))
     if status in {DISABLED, ENABLED} and words is None:
         return DeviceFault(
@@ -81,7 +86,9 @@ def fault(family: Family, status: int) -> DeviceFault:
 
 
 class Codec:
-    """Frames for one motor whose values span plus and minus `position` rad, `velocity` rad/s and `torque` N m."""
+    """Encodes and decodes the frames of one motor. Its counts span plus and minus `position` rad, `velocity` rad/s and
+    `torque` N m.
+    """
 
     def __init__(self, family: Family, position: float, velocity: float, torque: float) -> None:
         self.family = family
@@ -92,19 +99,19 @@ class Codec:
         self._rest = (round(0.5 * _TOP16), round(0.5 * _TOP12))
 
     def torque_counts(self, torque: float) -> int:
-        """Return the counts nearest to `torque` N m within the range."""
+        """Return the counts nearest to `torque`, N m, clamped to the motor's range."""
         limit = self._ranges[2]
         bounded = max(-limit, min(limit, torque))
         return max(0, min(_TOP12, round((bounded + limit) / self.torque_lsb)))
 
     def command(self, counts: int) -> bytes:
-        """Return the command for a torque of `counts`, with kp and kd zero."""
+        """Return the data of a command with a torque of `counts`, and with kp and kd zero."""
         position, velocity = self._rest
         word = position << 48 | velocity << 36 | counts
         return word.to_bytes(8, "big")
 
     def state(self, data: bytes) -> MitState:
-        """Return the values of a reply. Raises BadReply if it is too short, or the position is out of range."""
+        """Decode a reply. Raises BadReply if the reply is too short or its position is out of range."""
         if len(data) < (8 if self.family == "damiao" else 6):
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
         position = data[1] << 8 | data[2]

@@ -1,4 +1,4 @@
-"""One motor on the bus with the MIT protocol: its requests, and which received frames are its replies."""
+"""Send requests to one motor with the MIT protocol, and find its replies among the received frames."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 class MitMotor:
-    """Requests to one motor. Every method raises as `Requests.ask` does."""
+    """One motor on the bus. Every method raises as `Requests.ask` does."""
 
     def __init__(self, config: MitConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
@@ -52,7 +52,7 @@ class MitMotor:
 
     @property
     def damiao(self) -> bool:
-        """Return whether it has registers and reports whether it is enabled."""
+        """Return whether the motor is a Damiao: it has registers and reports whether it is enabled."""
         return self.codec.family == "damiao"
 
     def drive(self, counts: int) -> MitState:
@@ -60,32 +60,33 @@ class MitMotor:
         return self._state(frame(self._config.id, self.codec.command(counts)))
 
     def look(self) -> MitState:
-        """Return the state of a disarmed motor: by a request to a Damiao; by leaving motor mode again for an AK, which
-        has no request for its state.
+        """Return the state of a disarmed motor.
+
+        A Damiao has a request for its state. An AK has none, so the frame that leaves motor mode is sent again.
         """
         if self.damiao:
             return self._state(frame(REGISTERS_ID, self._registers_head(REFRESH) + bytes(5)))
         return self.leave()
 
     def enter(self) -> MitState:
-        """Enter motor mode: current can flow."""
+        """Enter motor mode, in which current can flow. Return the state."""
         return self._state(frame(self._config.id, ENTER))
 
     def leave(self) -> MitState:
-        """Leave motor mode: torque off."""
+        """Leave motor mode, which switches the torque off. Return the state."""
         self.requests.unrequested.clear()
         return self._state(frame(self._config.id, LEAVE))
 
     def clear(self) -> None:
-        """Clear a Damiao's error."""
+        """Clear the latched error of a Damiao."""
         self._state(frame(self._config.id, CLEAR))
 
     def send_leave(self) -> None:
-        """Leave motor mode at once, without waiting for the reply."""
+        """Send the frame that leaves motor mode at once, and do not wait for the reply."""
         self.requests.send_now([frame(self._config.id, LEAVE)], ["state"])
 
     def off_frames(self) -> list[can.Message]:
-        """Return the frames of zero torque and of leaving motor mode."""
+        """Return the frames that switch the torque off: zero torque, then leaving motor mode."""
         zero = self.codec.command(self.codec.torque_counts(0.0))
         return [frame(self._config.id, zero), frame(self._config.id, LEAVE)]
 
@@ -94,10 +95,10 @@ class MitMotor:
         return [frame(REGISTERS_ID, self._written(name, value)) for name, value in self.settings.changed()]
 
     def identify(self) -> str:
-        """Switch the torque off, and check that the motor is alone and the one of the stand file.
+        """Switch the torque off, then check that only one motor replies and that it is the model of the stand file.
 
-        Returns its firmware, "" if it reports none. Raises NoReply if no motor replies, BadReply if several
-        do, DriverError for another motor.
+        Returns its firmware version, "" if the motor reports none. Raises NoReply if no motor replies, BadReply if
+        several motors reply, DriverError for another model.
         """
         try:
             retry(self.leave)
@@ -124,7 +125,7 @@ class MitMotor:
         return float(register.layout.unpack_from(data, 4)[0])
 
     def require(self, name: str, value: float) -> None:
-        """Make a register hold `value`. It is not stored, so that the motor loses it without power.
+        """Write `value` to the register `name` of a Damiao and read it back. The motor loses this value without power.
 
         Raises as `Settings.require`.
         """
@@ -132,7 +133,7 @@ class MitMotor:
         self.settings.require(name, exact)
 
     def restore(self) -> None:
-        """Restore the registers that `require` changed, as far as the motor accepts it."""
+        """Restore the registers that `require` changed. A register that the motor refuses to restore is skipped."""
         self.settings.restore()
 
     def _put(self, name: str, value: float) -> None:

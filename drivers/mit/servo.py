@@ -1,7 +1,8 @@
-"""CubeMars AK and Damiao motors on MIT mini-cheetah frames as a `drivers.servo.Servo`. Limits: docs/can.md.
+"""CubeMars AK and Damiao motors, which use the frames of the MIT mini-cheetah, as a `drivers.servo.Servo`. Limits:
+docs/can.md.
 
-A tick is one frame each way: a torque with kp and kd zero, and a reply with position, velocity and torque. No torque is
-sent to a motor that is not armed.
+A tick is one frame each way: a command with a torque (kp and kd are zero), and a reply with position, velocity and
+torque. A disarmed motor is sent no torque.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ _TIMEOUT_LSB = 50e-6
 _COOLEST_LIMIT = 80.0
 """degC: the lowest over-temperature limit that a Damiao accepts."""
 _IGNORED = 10
-"""Ticks in a row with another torque than commanded until a motor counts as restarted."""
+"""Number of consecutive ticks with a wrong torque after which a motor counts as restarted."""
 
 
 class MitServo:
-    """One motor, opened, identified, and with its torque off.
+    """One motor that is open and identified, with its torque off.
 
-    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml gives
-    the scale. Raises DriverError if the bus cannot be opened or another motor replies, NoReply if none does,
-    BadReply where several do.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN
+    if stand.toml states torque_scale. Raises DriverError if the bus cannot be opened or another model replies, NoReply
+    if no motor replies, BadReply if several motors reply.
     """
 
     def __init__(self, config: MitConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -58,9 +59,9 @@ class MitServo:
         self._gate.live = False
 
     def arm(self, limits: Limits) -> None:
-        """Write a Damiao's limits and timeout and read them back, then enter motor mode at zero torque.
+        """Write the limits and the timeout into a Damiao and read them back, then enter motor mode at zero torque.
 
-        No frame sets limits in an AK. A Damiao that stopped for lack of frames is cleared. Raises DeviceFault where
+        An AK has no frame that sets limits. A Damiao's error "lost communication" is cleared. Raises DeviceFault if
         another error is latched, DriverError if a register is refused or the torque limit is below one count; the
         torque is off then.
         """
@@ -79,8 +80,8 @@ class MitServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor reports an error, is not
-        enabled any more, or has not followed for ten ticks.
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the motor reports an error, is no longer
+        enabled, or has not followed the command for ten ticks.
         """
         admitted = self._gate.admit(command)
         counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
@@ -104,9 +105,9 @@ class MitServo:
         )
 
     def disarm(self) -> None:
-        """Leave motor mode until a reply confirms it. Raises as `Gate.disarm`.
+        """Leave motor mode and wait for the reply. Raises as `Gate.disarm`.
 
-        An AK does not report whether it is enabled: its reply to the frame is the confirmation.
+        An AK does not report whether it is enabled, so its reply to the frame is the confirmation.
         """
         self._gate.disarm()
 
@@ -115,7 +116,7 @@ class MitServo:
         self._gate.close(self._motor.restore)
 
     def fall_silent(self) -> None:
-        """See `Gate.fall_silent`. An AK has no request for its state, so that the first read switches it off."""
+        """See `Gate.fall_silent`. An AK has no request for its state, so the first read switches the motor off."""
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
@@ -150,7 +151,9 @@ class MitServo:
         )
 
     def _prepare(self, limits: Limits) -> None:
-        """Write the limits that a Damiao has registers for; neither speed nor temperature limit is ever raised."""
+        """Write the limits for which a Damiao has registers. The limits of speed and temperature are only lowered,
+        never raised.
+        """
         motor = self._motor
         motor.require("control_mode", 1)
         motor.require("over_temperature", min(motor.get("over_temperature"), max(limits.temperature, _COOLEST_LIMIT)))
@@ -165,14 +168,14 @@ class MitServo:
             raise DriverError("the motor refuses to be enabled: switch its power off and on")
 
     def _counts(self, torque: float) -> tuple[int, bool]:
-        """Return the counts of `torque` N m, and whether the motor's range clipped it."""
+        """Return `torque`, N m, in counts, and whether the motor's range clipped it."""
         asked = self._config.sign * torque / self._config.torque_scale
         return self._motor.codec.torque_counts(asked), abs(asked) > self._config.ranges[2]
 
     def _check_error(self, state: MitState) -> None:
         """Raise DeviceFault if the motor reports an error.
 
-        A Damiao that stopped for lack of frames is cleared while it is not armed.
+        The error "lost communication" of a disarmed Damiao is cleared instead.
         """
         status, family = state.status, self._motor.codec.family
         armed = self._gate.armed
@@ -185,9 +188,9 @@ class MitServo:
             raise fault(family, status)
 
     def _check_follows(self, counts: int, state: MitState) -> None:
-        """Raise DeviceFault if the torque differs from the command for too long.
+        """Raise DeviceFault if the torque has differed from the commanded `counts` for too many ticks.
 
-        An AK does not report that it was restarted; it only stops following.
+        An AK that was restarted does not report so; it only stops following the command.
         """
         lsb = self._motor.codec.torque_lsb
         asked = (counts - self._motor.codec.torque_counts(0.0)) * lsb
