@@ -1,6 +1,7 @@
-"""The serial ports and CAN interfaces of this machine, the problem of each, and its remedy.
+"""List the serial ports and CAN interfaces of this computer, with the problem of each and its remedy.
 
-Latency timers and CAN interfaces are read from Linux's /sys and from `ip`; elsewhere they are left out.
+Latency timers and CAN interfaces are read from Linux's /sys and from the command `ip`; on other systems they are left
+out.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ _LATENCY = 1  # ms; needed for one round trip a tick
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A serial port or a CAN interface. described: what is connected. problem: what is wrong, and the remedy, or ""."""
+    """A serial port or a CAN interface. described: the device that is connected. problem: what is wrong, with the
+    remedy; "" if nothing is.
+    """
 
     name: str
     described: str
@@ -32,7 +35,9 @@ class Port:
 
 
 def serial_ports(sys: Path = _SYS) -> list[Port]:
-    """Return the serial ports, without the legacy ports of the mainboard, which are rarely connected."""
+    """Return the serial ports, without the mainboard's own ports, to which rarely anything is connected. sys: path of
+    Linux's /sys.
+    """
     ports = []
     for port in sorted(comports(), key=lambda port: str(port.device)):
         if port.vid is None and port.device.startswith("/dev/ttyS"):
@@ -43,7 +48,9 @@ def serial_ports(sys: Path = _SYS) -> list[Port]:
 
 
 def serial_problem(port: Path, sys: Path = _SYS) -> str:
-    """Return the problem of `port` with the remedy, "" if it has none. The port is not opened."""
+    """Return the problem of `port` with the remedy, "" if it has none. The port is not opened. sys: path of Linux's
+    /sys.
+    """
     real = port.resolve()
     if os.name == "posix":
         if not real.exists():
@@ -60,7 +67,7 @@ def serial_problem(port: Path, sys: Path = _SYS) -> str:
 
 
 def latency_timer(name: str, sys: Path = _SYS) -> int | None:
-    """Return the ms that an FTDI adapter delays received bytes; None for any other port."""
+    """Return the latency timer of an FTDI adapter, ms: how long it delays received bytes. None for any other port."""
     try:
         return int((sys / "bus/usb-serial/devices" / name / "latency_timer").read_text())
     except (OSError, ValueError):
@@ -68,7 +75,7 @@ def latency_timer(name: str, sys: Path = _SYS) -> int | None:
 
 
 def set_latency_timer(name: str, milliseconds: int, sys: Path = _SYS) -> bool:
-    """Set the ms that an FTDI adapter delays received bytes; return whether this user may."""
+    """Set the latency timer of an FTDI adapter, ms. Return False if this user is not permitted to."""
     try:
         (sys / "bus/usb-serial/devices" / name / "latency_timer").write_text(str(milliseconds))
     except OSError:
@@ -77,7 +84,10 @@ def set_latency_timer(name: str, milliseconds: int, sys: Path = _SYS) -> bool:
 
 
 def can_interfaces(sys: Path = _SYS, details: Callable[[str], Mapping[str, Any]] | None = None) -> list[Port]:
-    """Return the CAN interfaces of the kernel. details: of one, as `ip -json` prints them; None: run `ip`."""
+    """Return the CAN interfaces of the Linux kernel.
+
+    details: returns what `ip -json` prints about an interface; None runs `ip`. sys: path of Linux's /sys.
+    """
     interfaces = []
     for folder in sorted((sys / "class/net").glob("*")):
         with contextlib.suppress(OSError):

@@ -19,15 +19,17 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class MitConfig:
-    """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or where values do not fit.
+    """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or if values do not fit each
+    other.
 
     interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: a name in
-    mit/table.toml. id: the motor's. reply_id: the identifier of its replies (a Damiao's master id); None: 0 for a
-    Damiao, its id or 0 for an AK. position_range: rad, full scale of the counts, where it is not the table's.
-    velocity_range: rad/s, likewise. torque_range: N m, likewise. torque_scale: true torque divided by reported torque.
-    temperature_offset: K subtracted from an AK's reading. sign: 1 where the motor's positive is the stand's, else -1.
-    watchdog: s without a frame after which a Damiao stops by itself; 0: never; an AK's is set with the vendor's tool.
-    reply_timeout: s that a reply may take.
+    mit/table.toml. id: the motor's CAN id. reply_id: the CAN identifier of the motor's replies (a Damiao's master id);
+    None: 0 for a Damiao, the motor's id or 0 for an AK. position_range: rad, full scale of the position counts, if it
+    differs from the table's. velocity_range: rad/s, full scale of the velocity counts, if it differs from the table's.
+    torque_range: N m, full scale of the torque counts, if it differs from the table's. torque_scale: true torque
+    divided by reported torque. temperature_offset: K subtracted from an AK's reading. sign: 1 if the motor's positive
+    direction is the stand's, else -1. watchdog: s without a frame after which a Damiao stops by itself; 0: never; an
+    AK's is set with the vendor's tool. reply_timeout: s that a reply may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

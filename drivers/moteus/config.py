@@ -16,11 +16,11 @@ from drivers.servo import Quantity
 class MoteusConfig:
     """The [moteus] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
-    interface: the kind of bus in python-can; it must carry CAN FD. channel: the bus, as python-can names it.
-    bitrate: bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's. source: our id on the bus.
-    mode: the quantity that is commanded; None: the one of the run. sign: 1 where the controller's positive is the
-    stand's, else -1. watchdog: s without a command after which it stops by itself. reply_timeout: s that a
-    reply may take.
+    interface: the kind of bus in python-can; it must carry CAN FD. channel: the bus, as python-can names it. bitrate:
+    bit/s of the identifiers. data_bitrate: bit/s of the data. id: the controller's id on the bus. source: our id on the
+    bus. mode: the quantity that is commanded; None: the quantity that the run commands. sign: 1 if the controller's
+    positive direction is the stand's, else -1. watchdog: s without a command after which the controller stops by
+    itself. reply_timeout: s that a reply may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -42,7 +42,9 @@ class MoteusConfig:
             raise ValueError(f"moteus.source {self.source} is the controller's own id: choose another")
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the configuration that commands `quantity`. Raises ValueError if `mode` is the other one."""
+        """Return the configuration that commands `quantity`. Raises ValueError if the stated `mode` is the other
+        quantity.
+        """
         if self.mode not in {None, quantity.value}:
             raise ValueError(f"moteus.mode = {self.mode!r} does not command {quantity}: remove it")
         return replace(self, mode=quantity.value)
@@ -54,5 +56,5 @@ class MoteusConfig:
 
     @property
     def bus(self) -> BusConfig:
-        """The bus."""
+        """The configuration of the CAN bus."""
         return BusConfig(self.interface, self.channel, self.bitrate, self.data_bitrate)

@@ -1,4 +1,4 @@
-"""One moteus on the bus: its registers, and its configuration over the diagnostic console."""
+"""One moteus controller on the bus: its registers, and its configuration through the diagnostic console."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ if TYPE_CHECKING:
 
 _REPLY_WANTED = 0x80
 _POLLS = 40
-"""Requests to the console for the rest of a line."""
+"""How many times the console is asked for the rest of a line."""
 
 
 class Controller:
-    """Requests to one controller. Every method raises as `Requests.ask` does.
+    """One moteus controller. Every method raises as `Requests.ask` does.
 
-    settings: the numbers of its configuration. They are not stored, so that it forgets them without power.
+    settings: numbers of the controller's configuration. They are not stored, so the controller loses changes without
+    power.
     """
 
     def __init__(self, config: MoteusConfig, link: CanLink, clock: Clock) -> None:
@@ -56,7 +57,9 @@ class Controller:
         self.settings: Settings[str, float] = Settings(self.get, self._set, same=_same)
 
     def exchange(self, *subframes: bytes) -> Registers:
-        """Send subframes and return the registers of the reply. Raises DriverError for one that is refused."""
+        """Send subframes and return the registers of the reply. Raises DriverError if the controller refuses a
+        register.
+        """
         return answers(self.requests.ask([self._frame(*subframes)], ["registers"])["registers"])
 
     def send(self, *subframes: bytes) -> None:
@@ -64,17 +67,17 @@ class Controller:
         self.requests.send([self.unanswered(*subframes)])
 
     def unanswered(self, *subframes: bytes) -> can.Message:
-        """Return the frame of subframes that has no reply."""
+        """Return the frame that sends `subframes` and requests no reply."""
         return self._frame(*subframes, asking=False)
 
     def restoring(self) -> list[can.Message]:
-        """Return the frames that restore the settings that were changed."""
+        """Return the frames that restore the changed settings."""
         return [self._line(_setting(name, value)) for name, value in self.settings.changed()]
 
     def identify(self) -> Registers:
-        """Return model, firmware, register map and serial number.
+        """Read model, firmware, register map and serial number.
 
-        Raises NoReply if no controller replies, BadReply if several do.
+        Raises NoReply if no controller replies, BadReply if several controllers reply.
         """
         ask = (read("model", INT32, 3), read("serial_low", INT32, 3))
         try:
@@ -85,7 +88,7 @@ class Controller:
         return registers
 
     def get(self, name: str) -> float:
-        """Return a number of the configuration. Raises DriverError if the controller does not have it."""
+        """Return the number `name` of the configuration. Raises DriverError if the controller has no such number."""
         text = self._console(f"conf get {name}")
         try:
             return float(text)
@@ -99,9 +102,9 @@ class Controller:
             raise DriverError(f"the moteus replies {answer!r} to {line}: the setting was refused")
 
     def _console(self, line: str) -> str:
-        """Send a line and return the first line of the reply.
+        """Send a line to the console and return the first line of its reply.
 
-        A lost reply may contain a part of that line, so the whole line is sent again.
+        A lost reply may have contained a part of that first line, so the whole command is sent again.
         """
 
         def converse() -> str:
@@ -115,7 +118,7 @@ class Controller:
         return self.unanswered(console_write(line.encode("ascii") + b"\n"))
 
     def _drain(self) -> None:
-        """Discard what the console still sends."""
+        """Discard the text that the console still holds from earlier commands."""
         for _ in range(_POLLS):
             if not self._poll():
                 return
@@ -153,7 +156,7 @@ class Controller:
 
 
 def _setting(name: str, value: float) -> str:
-    """Return the line that sets a number of the configuration."""
+    """Return the console command that sets the number `name` of the configuration to `value`."""
     text = f"{value:.0f}" if value == int(value if math.isfinite(value) else 0) else f"{value:.9g}"
     return f"conf set {name} {text}"
 

@@ -1,7 +1,8 @@
-"""Frames of the moteus: registers written and read in one CAN FD frame; registers and faults from table.toml.
+"""Encode and decode moteus frames, which write and read registers in one CAN FD frame. Registers and faults are in
+table.toml.
 
-A frame is a sequence of subframes: one byte for kind and count, the first register, the values; 0x50 pads it. Received
-data is not trusted: a count or a length beyond the frame is a BadReply.
+A frame is a sequence of subframes: one byte for kind and count, the first register, the values. The byte 0x50 pads the
+frame. Received data may be wrong: a count or a length beyond the frame raises BadReply.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from drivers.tables import table
 INT8, INT16, INT32, FLOAT = 0, 1, 2, 3
 STOPPED, FAULT, POSITION, TIMEOUT = 0, 1, 10, 11
 RESTARTED = 0x100
-"""Our code for a controller that is stopped while armed and reports no fault."""
+"""Fault code of this project: the controller is stopped although armed, and reports no fault."""
 WATCHDOG = 0x101
-"""Our code for a controller whose watchdog ran out."""
+"""Fault code of this project: the controller's watchdog tripped."""
 _TYPES = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
 _LOWEST = (-128, -(2**15), -(2**31))
 _WRITE, _READ, _REPLY, _WRITE_ERROR, _READ_ERROR, _NOP = 0x00, 0x10, 0x20, 0x30, 0x31, 0x50
@@ -31,7 +32,7 @@ _CHANNEL = 1
 
 @dataclass(frozen=True, slots=True)
 class MoteusRegister:
-    """A register: its number, and the value of one count as int8, int16 and int32."""
+    """A register of a moteus: its number, and the value of one count when it is sent as int8, int16 or int32."""
 
     number: int
     scales: tuple[float, float, float]
@@ -51,12 +52,12 @@ def _by_number() -> dict[int, tuple[str, MoteusRegister]]:
 
 
 def limiting(code: int) -> bool:
-    """Return whether a fault code only reports which limit acts on the torque."""
+    """Return whether a fault code is no fault but only names the limit that acts on the torque."""
     return str(code) in table("moteus")["limiting"]
 
 
 def fault(code: int) -> DeviceFault:
-    """Return the error for the code of a controller in fault mode."""
+    """Return the error for the fault code of a controller in fault mode."""
     words = table("moteus")["faults"].get(str(code), "not known here, see its manual")
     return DeviceFault(code, f"the moteus reports fault {code}: {words}")
 
@@ -67,7 +68,7 @@ def restarted() -> DeviceFault:
 
 
 def timed_out(watchdog: float) -> DeviceFault:
-    """Return the error for a controller that received nothing for `watchdog` s."""
+    """Return the error for a controller that received no command for `watchdog` s and stopped."""
     return DeviceFault(
         WATCHDOG,
         f"the moteus received nothing for {watchdog:.3g} s and stopped by itself: find out what delayed the computer "
@@ -76,19 +77,25 @@ def timed_out(watchdog: float) -> DeviceFault:
 
 
 def write(name: str, resolution: int, *values: float) -> bytes:
-    """Return the subframe that writes consecutive registers from `name` on; floats in their units, else counts."""
+    """Return the subframe that writes values to consecutive registers, the first of which is `name`.
+
+    resolution: how values are encoded: floats are in the register's unit, integers are counts.
+    """
     head = bytes([_WRITE | resolution << 2 | len(values), registers()[name].number])
     layout = _TYPES[resolution]
     return head + b"".join(layout.pack(value if resolution == FLOAT else int(value)) for value in values)
 
 
 def read(name: str, resolution: int, count: int = 1) -> bytes:
-    """Return the subframe that requests `count` consecutive registers from `name` on."""
+    """Return the subframe that requests `count` consecutive registers, the first of which is `name`.
+
+    resolution: how the controller must encode the values.
+    """
     return bytes([_READ | resolution << 2 | count]) + _varuint(registers()[name].number)
 
 
 def filled(subframes: Iterable[bytes]) -> bytes:
-    """Return the subframes as the data of a frame, padded to a length that CAN FD has."""
+    """Join the subframes to the data of one frame, padded to a length that CAN FD has."""
     data = b"".join(subframes)
     length = next(size for size in _LENGTHS if size >= len(data))
     return data + bytes([_NOP]) * (length - len(data))
@@ -110,20 +117,20 @@ def is_console(data: bytes) -> bool:
 
 
 def console_text(data: bytes) -> bytes:
-    """Return the console's text in a reply. Raises BadReply."""
+    """Return the console's text in a reply. Raises BadReply if the reply holds none."""
     if len(data) < 3 or data[1] != _CHANNEL or len(data) < 3 + data[2]:
         raise BadReply("the console's reply is cut short")
     return bytes(data[3 : 3 + data[2]])
 
 
 class Registers(dict[str, float]):
-    """The registers of a reply, in their units; one that the reply lacks is BadReply."""
+    """The registers of a reply by name, in their units. Reading a register that the reply lacks raises BadReply."""
 
     def __missing__(self, name: str) -> float:
         raise BadReply(f"a reply of the moteus has no register {name}: the sample is dropped")
 
     def whole(self, name: str) -> int:
-        """Return a register that is a whole number. Raises BadReply if the reply has no value of it."""
+        """Return a register as a whole number. Raises BadReply if the reply has no value for it."""
         value = self[name]
         if not math.isfinite(value):
             raise BadReply(f"a reply of the moteus has no value in register {name}: the sample is dropped")
@@ -131,9 +138,9 @@ class Registers(dict[str, float]):
 
 
 def answers(data: bytes) -> Registers:
-    """Return the registers in a reply, in their units; NaN where the controller has no value.
+    """Decode the registers in a reply, in their units; NaN if the controller has no value.
 
-    Raises BadReply if the reply cannot be decoded, DriverError if it refuses a register.
+    Raises BadReply if the reply cannot be decoded, DriverError if the controller refuses a register.
     """
     out = Registers()
     place = 0
@@ -156,7 +163,7 @@ def answers(data: bytes) -> Registers:
 
 
 def _values(data: bytes, place: int, out: dict[str, float]) -> int:
-    """Add the registers of one reply subframe to `out`; return the position of the next subframe."""
+    """Decode the reply subframe at position `place` of `data` into `out`. Return the position of the next subframe."""
     resolution, count = data[place] >> 2 & 3, data[place] & 3
     place += 1
     if count == 0:

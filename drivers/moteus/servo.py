@@ -1,8 +1,9 @@
 """moteus controllers on CAN FD as a `drivers.servo.Servo`. Wiring and limits: docs/can.md.
 
-A tick is one frame each way: the command with its torque limit and its watchdog, and a reply with position, velocity,
-torque, mode, fault, voltage, temperatures and the controller's milliseconds, all sampled at one moment. Torque mode is
-the vendor's: position mode without a position, with all gains scaled to zero and the torque as feed-forward.
+A tick is one frame each way: the command with its torque limit and its watchdog time, and a reply with position,
+velocity, torque, mode, fault, voltage, temperatures and the controller's milliseconds, all sampled at one moment.
+Torque is commanded as the vendor recommends: in position mode without a position, with all gains scaled to zero and the
+torque as feed-forward.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
 
 _TRIES = 3
 _PREPARATION = 20
-"""Commands until a controller that is preparing must run."""
+"""Most commands to send until a controller that prepares its start must run."""
 _FULL = 127  # of an int8 scale
 _STATE = b"".join(
     [
@@ -60,11 +61,11 @@ _STOP = write("mode", INT8, STOPPED)
 
 
 class MoteusServo:
-    """One controller, opened, identified, and stopped.
+    """One controller that is open, identified and stopped.
 
-    clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
-    the controller does not report them. Raises DriverError if the bus cannot be opened or the firmware lacks a
-    register, NoReply if no controller replies, BadReply if several do.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. In `info` the counts of position
+    and torque are NaN, since the controller does not report them. Raises DriverError if the bus cannot be opened or the
+    firmware lacks a register, NoReply if no controller replies, BadReply if several controllers reply.
     """
 
     def __init__(self, config: MoteusConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -102,11 +103,13 @@ class MoteusServo:
         )
 
     def arm(self, limits: Limits) -> None:
-        """Write the limits into the controller and read them back, then start it at zero torque or where it stands.
+        """Write the limits into the controller and read them back, then start the controller at zero torque, or at its
+        present position.
 
-        Speed and temperature limits go into its configuration, with a watchdog that stops (by default it holds); torque
-        limit and watchdog time are part of every command. Raises DeviceFault if it is in fault, DriverError if a
-        limit is refused or it does not start; it is stopped then.
+        The limits of speed and temperature are written to the configuration, and also that a tripped watchdog stops the
+        motor (by default it holds the position). Torque limit and watchdog time are part of every command. Raises
+        DeviceFault if the controller is in fault, DriverError if it refuses a limit or does not start; it is stopped
+        then.
         """
         with self._gate.arming(limits):
             state = self._controller.exchange(_STATE)
@@ -121,8 +124,8 @@ class MoteusServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        `Command.rest()` in position mode repeats the last position. Raises UnsafeCommand, NoReply, BadReply, LinkLost,
-        and DeviceFault where the controller is in fault, timed out, or restarted.
+        In position mode the last position is sent again for `Command.rest()`. Raises UnsafeCommand, NoReply, BadReply,
+        LinkLost, and DeviceFault if the controller is in fault, its watchdog tripped, or it was restarted.
         """
         admitted = self._gate.admit(command)
         subframes = self._subframes(admitted.command)
@@ -132,11 +135,11 @@ class MoteusServo:
         return self._sample(state, sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Stop the controller until it confirms it. Raises as `Gate.disarm`."""
+        """Stop the controller and wait for its confirmation. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Stop, restore the configuration, and close the bus. Never raises; see `Gate.close`."""
+        """Stop the controller, restore its configuration, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._controller.settings.restore)
 
     def fall_silent(self) -> None:
@@ -163,7 +166,9 @@ class MoteusServo:
             raise DriverError(f"it is in mode {mode:.0f} after a stop")
 
     def _prepare(self, limits: Limits) -> None:
-        """Write the limits that the controller has settings for; none is ever raised. NaN means no limit there."""
+        """Write the limits for which the controller has settings. No setting is raised; NaN in a setting means that it
+        has no limit.
+        """
         controller = self._controller
         for name, value in (
             ("servo.max_velocity", limits.velocity / math.tau),
@@ -175,7 +180,7 @@ class MoteusServo:
         controller.settings.require("servo.timeout_mode", STOPPED)
 
     def _start(self, limits: Limits) -> None:
-        """Command zero torque, or the present position, until it runs."""
+        """Command zero torque, or the present position, until the controller runs. Raises DeviceFault, DriverError."""
         torque = self._config.quantity is Quantity.TORQUE
         command = self._torque(0.0, limits) if torque else self._position(self._last_position, limits)
         for _ in range(_PREPARATION):
@@ -194,7 +199,10 @@ class MoteusServo:
         return self._commanded(position, 0.0, _FULL, limits.torque)
 
     def _commanded(self, position: float, torque: float, gain: int, ceiling: float) -> tuple[bytes, ...]:
-        """Return a command. position rev, torque and ceiling N m; gain: of all gains, 0 to 127."""
+        """Return the subframes of a command.
+
+        position: rev. torque: feed-forward, N m. gain: scale of all gains, 0 to 127. ceiling: torque limit, N m.
+        """
         return (
             write("mode", INT8, POSITION),
             write("command_position", FLOAT, position, 0.0, torque),
@@ -205,7 +213,9 @@ class MoteusServo:
         )
 
     def _subframes(self, command: Command | None) -> tuple[bytes, ...]:
-        """Return the subframes to send: none while disarmed; the last position where `command` has no position."""
+        """Return the subframes to send for a command: none while disarmed; the last position again if `command` is
+        None.
+        """
         limits = self._gate.limits
         if limits is None:
             return ()
@@ -245,7 +255,7 @@ class MoteusServo:
         )
 
     def _check_mode(self, state: Registers) -> None:
-        """Raise DeviceFault if the controller left the mode that it was armed into."""
+        """Raise DeviceFault if the controller has left the mode into which it was armed."""
         mode = state["mode"]
         if mode == FAULT:
             raise fault(state.whole("fault"))
@@ -255,7 +265,9 @@ class MoteusServo:
         raise timed_out(self._config.watchdog) if mode == TIMEOUT else restarted()
 
     def _refuse_impossible(self) -> None:
-        """Raise for impossible milliseconds: a late reply; several in a row: a controller that was restarted."""
+        """Raise the error for a sample that contradicts the controller's clock: BadReply, or DeviceFault after several
+        such samples in a row.
+        """
         self._impossible += 1
         if not self._gate.armed:
             self._milliseconds.restart()

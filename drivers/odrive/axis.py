@@ -20,15 +20,16 @@ if TYPE_CHECKING:
     from drivers.odrive.config import OdriveConfig
 
 HEARTBEAT = 0.6
-"""s without a heartbeat until it counts as missing; the drive's default period is 0.1 s."""
+"""s without a heartbeat after which the heartbeat counts as missing; the drive's default period is 0.1 s."""
 _CYCLE = 0.12
-"""s in which a cyclic message of torque or current would have arrived."""
+"""s to wait for a cyclic message of torque or current: if the drive sends any, one arrives within this time."""
 
 
 class Axis:
-    """Requests to one axis, and its last known state.
+    """One ODrive axis on the bus.
 
-    state, errors: of the last heartbeat. beats: heartbeats received. temperature degC, voltage V: NaN until known.
+    state, errors: from the last heartbeat. beats: number of heartbeats received. temperature: degC, voltage: V, both
+    NaN until known.
     """
 
     def __init__(self, config: OdriveConfig, link: CanLink, clock: Clock) -> None:
@@ -48,9 +49,9 @@ class Axis:
         self.temperature = self.voltage = math.nan
 
     def identify(self) -> str:
-        """Return its firmware, whose message layout is used from then on.
+        """Return the firmware version of the axis. Its message layout is used from then on.
 
-        Raises NoReply if no axis replies, BadReply if several do, DriverError for a firmware not known here.
+        Raises NoReply if no axis replies, BadReply if several axes reply, DriverError for an unknown firmware.
         """
         version = self._version()
         if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > 0):
@@ -81,7 +82,7 @@ class Axis:
             raise self._no_reply()
 
     def _version(self) -> tuple[int, ...] | None:
-        """Return the reply to Get_Version; None if there is none, as from firmware 0.5."""
+        """Return the firmware version by Get_Version; None if there is no reply, as with firmware 0.5."""
         try:
             replies = retry(lambda: self.requests.ask([self.codec.request("version")], ["version"]), (NoReply,))
         except NoReply:
@@ -96,7 +97,7 @@ class Axis:
         )
 
     def _on_cyclic(self, kind: Hashable, data: bytes) -> None:
-        """Store what the axis sends cyclically, and its replies about slowly changing values."""
+        """Store a cyclic message, or a reply about a slowly changing value (temperature, voltage, errors)."""
         with contextlib.suppress(BadReply):
             if kind == "heartbeat":
                 self.errors, self.state, *_ = self.codec.decoded("heartbeat", data)

@@ -39,5 +39,5 @@ class OdriveConfig:
 
     @property
     def bus(self) -> BusConfig:
-        """Where the bus is."""
+        """The configuration of the CAN bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)

@@ -1,4 +1,4 @@
-"""CANSimple messages and error bits, from table.toml, which names the sources."""
+"""CANSimple messages and error bits of ODrive axes. They are read from table.toml, which names the sources."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from drivers.servo import BadReply, DeviceFault
 from drivers.tables import table, texts_of
 
 Layout = Literal["0.5", "0.6"]
-"""0.5: of firmware 0.5.6, the last for the ODrive v3; 0.6: of the Pro, S1 and Micro."""
+"""The layout of the messages. 0.5: as in firmware 0.5.6, the last for the ODrive v3. 0.6: as in the firmware of Pro, S1
+and Micro.
+"""
 RESTARTED = 0x1_0000_0000
-"""Our code for an axis that left closed loop without an error: above every error word."""
+"""Fault code of this project: the axis left closed loop without an error. It is above every error word."""
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, PASSTHROUGH = 1, 1
 COMMAND_BITS = 5
@@ -22,13 +24,13 @@ COMMAND_BITS = 5
 
 @cache
 def endpoint_names() -> dict[str, str]:
-    """Return the vendor's name of each parameter used here, by our name."""
+    """Return the vendor's name of each parameter that this project uses, by this project's name."""
     return dict(table("odrive")["endpoints"])
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message: its command number and the layout of its data."""
+    """A CANSimple message: its command number and the `struct` layout of its data."""
 
     name: str
     number: int
@@ -37,18 +39,18 @@ class Message:
 
 @cache
 def messages(layout: Layout) -> dict[str, Message]:
-    """Return the messages of a firmware by name."""
+    """Return the messages of a firmware layout by name."""
     rows = table("odrive")["messages"][layout]
     return {name: Message(name, number, struct.Struct(text)) for name, (number, text) in rows.items()}
 
 
 def watchdog_bit(layout: Layout) -> int:
-    """Return the bit of the error word for a tripped watchdog."""
+    """Return the bit of the error word that means that the watchdog tripped."""
     return int(table("odrive")["watchdog"][layout])
 
 
 def fault(layout: Layout, bits: int) -> DeviceFault:
-    """Return the error for an error word; RESTARTED where it is zero."""
+    """Return the error for the error word `bits`; the fault RESTARTED if `bits` is zero."""
     if not bits:
         return DeviceFault(
             RESTARTED,
@@ -59,7 +61,7 @@ def fault(layout: Layout, bits: int) -> DeviceFault:
 
 
 class Codec:
-    """The frames of the axis with one node id."""
+    """Encodes and decodes the frames of the axis with node id `ident`."""
 
     def __init__(self, ident: int, layout: Layout) -> None:
         self._base = ident << COMMAND_BITS
@@ -72,22 +74,25 @@ class Codec:
         return name in self._messages
 
     def request(self, name: str) -> Any:
-        """Return the remote frame that requests a message."""
+        """Return the remote frame that requests the message `name`."""
         return frame(self._base | self._messages[name].number, remote=True)
 
     def put(self, name: str, *values: float | bytes) -> Any:
-        """Return the frame that sends `values`."""
+        """Return the frame that sends `values` in the message `name`."""
         message = self._messages[name]
         return frame(self._base | message.number, message.layout.pack(*values))
 
     def name_of(self, ident: int, *, extended: bool, remote: bool) -> str | None:
-        """Return the name of a received message; None if it is not from this axis."""
+        """Return the name of a received message; None if another node sent it.
+
+        extended: whether the identifier has 29 bits. remote: whether it is a remote frame.
+        """
         if extended or remote or ident & ~((1 << COMMAND_BITS) - 1) != self._base:
             return None
         return self._names.get(ident & ((1 << COMMAND_BITS) - 1))
 
     def decoded(self, name: str, data: bytes) -> tuple[Any, ...]:
-        """Return the values in a reply. Raises BadReply if it is too short."""
+        """Return the values in the data of the message `name`. Raises BadReply if the data is too short."""
         layout = self._messages[name].layout
         if len(data) < layout.size:
             raise BadReply(f"{name}: {len(data)} bytes instead of {layout.size}: the sample is dropped")

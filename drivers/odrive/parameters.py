@@ -1,8 +1,8 @@
-"""Parameters of an ODrive with firmware 0.6, by the vendor's names, written over CAN and read back.
+"""Write parameters of an ODrive with firmware 0.6 over CAN, by the vendor's names, and read them back.
 
-An endpoint's number changes with the firmware, so the numbers come from the flat_endpoints.json that the vendor
-publishes with each firmware; it must be the one of the drive. Firmware 0.6.11 and later replies to a write, also with
-`tx_sdo`, so a value is always requested again to read it back.
+The number of a parameter (endpoint) changes with the firmware. The numbers come from the flat_endpoints.json that the
+vendor publishes with each firmware; it must belong to the drive's firmware. Firmware 0.6.11 and later also replies to a
+write with `tx_sdo`, so a value is always requested again to read it back.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _READ, _WRITE = 0, 1
 _ANSWER_TO_WRITE = 0.003
-"""s in which a drive that replies to writes has done so."""
+"""s to wait after a write, in which a drive that replies to writes has sent its reply."""
 _FORMATS = {
     "bool": "<?",
     "uint8": "<B",
@@ -38,9 +38,10 @@ _FORMATS = {
 
 
 class Parameters:
-    """The parameters of the axis that `requests` address.
+    """The parameters of one axis.
 
-    Raises DriverError if the file cannot be read, is for another firmware, or lacks a parameter that is needed.
+    path: the vendor's flat_endpoints.json. Raises DriverError if the file cannot be read, belongs to another firmware,
+    or lacks a needed parameter.
     """
 
     def __init__(self, path: str, firmware: str, requests: Requests, codec: Codec) -> None:
@@ -62,7 +63,7 @@ class Parameters:
             raise DriverError(f"odrive.endpoints: {path} lacks {', '.join(missing)}")
 
     def get(self, name: str) -> float:
-        """Return a value. Raises NoReply, LinkLost, BadReply."""
+        """Return the value of the parameter `name`. Raises NoReply, LinkLost, BadReply."""
         number, layout = self._endpoint(name)
         read = self._codec.put("rx_sdo", _READ, number, 0, bytes(4))
 
@@ -76,17 +77,19 @@ class Parameters:
         return retry(request)
 
     def require(self, name: str, value: float) -> None:
-        """Make a parameter hold `value` as exactly as it can. Raises as `Settings.require`."""
+        """Write `value` to the parameter `name` and read it back; a float may be rounded to 32 bits. Raises as
+        `Settings.require`.
+        """
         layout = self._endpoint(name)[1]
         exact = float(struct.unpack(layout, _packed(layout, value))[0])
         self.settings.require(name, exact, endpoint_names()[name])
 
     def restore(self) -> None:
-        """Restore what `require` changed, as far as the drive accepts it."""
+        """Restore the parameters that `require` changed. A parameter that the drive refuses to restore is skipped."""
         self.settings.restore()
 
     def restoring(self) -> list[can.Message]:
-        """Return the frames that restore what `require` changed."""
+        """Return the frames that restore the parameters that `require` changed."""
         return [self._write(name, value) for name, value in self.settings.changed()]
 
     def _write(self, name: str, value: float) -> can.Message:

@@ -1,10 +1,11 @@
 """ODrive on CANSimple as a `drivers.servo.Servo`. Wiring and limits: docs/can.md.
 
-A tick is the set-point (`Set_Input_Torque`) followed by two remote frames that request the encoder's estimates and the
-torque. Every eighth tick also requests temperature, voltage or errors and does not wait for the reply. Cyclic messages,
-above all the heartbeat, are processed with the replies.
+In each tick the computer sends the set-point (`Set_Input_Torque`), then two remote frames that request the encoder's
+estimates and the torque. Every eighth tick also requests temperature, voltage or errors, and does not wait for the
+reply. Cyclic messages, above all the heartbeat, are processed together with the replies.
 
-Firmware 0.6 reports the torque (`Get_Torques`); 0.5.6 reports the current, which `torque_constant` converts to torque.
+Firmware 0.6 reports the torque (`Get_Torques`). Firmware 0.5.6 reports the current, which `torque_constant` converts to
+torque.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ if TYPE_CHECKING:
     from drivers.off_path import OffPath
 
 _STATE_CHANGE = 0.35
-"""s until a heartbeat must report a change of state."""
+"""s to wait for a heartbeat that reports a change of state."""
 _TRIES = 3
 _EVERY = 8
 """Ticks between two requests for a slowly changing value."""
 
 
 class OdriveServo:
-    """One axis, opened, identified, and idle.
+    """One axis that is open, identified and idle.
 
-    clock, bus: those of the machine unless a test gives its own. info: the counts of encoder and shunts are NaN, since
-    CANSimple does not report them. Raises DriverError if the bus cannot be opened or the firmware does not fit,
-    NoReply where no axis replies, BadReply if several do.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. In `info` the counts of position
+    and torque are NaN, since CANSimple does not report them. Raises DriverError if the bus cannot be opened or the
+    firmware is unknown, NoReply if no axis replies, BadReply if several axes reply.
     """
 
     def __init__(self, config: OdriveConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -86,10 +87,10 @@ class OdriveServo:
     def arm(self, limits: Limits) -> None:
         """Write the limits into the axis, then enter closed loop at zero torque.
 
-        With `endpoints`, the limits of torque, current, velocity and temperature and the watchdog are read back.
-        Without, only velocity and current limits are sent, which CANSimple cannot read back. A watchdog error from the
-        time before is cleared. Raises DeviceFault if another error is latched, DriverError if a limit is refused
-        or the axis does not enter closed loop; it is idle then.
+        With `endpoints`, the watchdog and the limits of torque, current, velocity and temperature are read back.
+        Without, only the limits of velocity and current are sent, and CANSimple cannot read them back. An old watchdog
+        error is cleared. Raises DeviceFault if another error is latched, DriverError if the axis refuses a limit or
+        does not enter closed loop; the axis is idle then.
         """
         with self._gate.arming(limits):
             self._clear_stale_watchdog()
@@ -99,7 +100,7 @@ class OdriveServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the axis reports an error or has left
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the axis reports an error or has left
         closed loop.
         """
         admitted = self._gate.admit(command)
@@ -131,11 +132,11 @@ class OdriveServo:
         )
 
     def disarm(self) -> None:
-        """Set zero torque and idle until a heartbeat confirms it. Raises as `Gate.disarm`."""
+        """Command zero torque and the state idle, until a heartbeat confirms idle. Raises as `Gate.disarm`."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Set idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
+        """Command the state idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
         self._gate.close(self._parameters.restore if self._parameters else None)
 
     def fall_silent(self) -> None:
@@ -166,7 +167,9 @@ class OdriveServo:
     # -- opening ----------------------------------------------------------------------------------------------------
 
     def _open_parameters(self, firmware: str) -> Parameters | None:
-        """Return the axis' parameters where the stand file names the endpoint file. Raises DriverError."""
+        """Return the parameters of the axis if the stand file names the endpoint file, else None. Raises
+        DriverError.
+        """
         path = self._config.endpoints
         if path is None:
             return None
@@ -186,7 +189,7 @@ class OdriveServo:
     # -- arming -----------------------------------------------------------------------------------------------------
 
     def _clear_stale_watchdog(self) -> None:
-        """Clear a watchdog error from the time before. Raises DeviceFault for any other error."""
+        """Clear a watchdog error that is latched from an earlier run. Raises DeviceFault for any other error."""
         self._axis.await_heartbeat()
         bit = watchdog_bit(self._axis.codec.layout)
         if self._axis.errors == bit:
@@ -218,7 +221,11 @@ class OdriveServo:
             parameters.require("enable_watchdog", 1.0)
 
     def _check_clipping(self, parameters: Parameters, torque: float, velocity: float) -> None:
-        """Raise DriverError if the axis would limit the torque by its velocity limit even at standstill."""
+        """Raise DriverError if the axis' velocity limit would limit the torque even at standstill, because the axis
+        clips in torque mode.
+
+        torque: N m, the torque limit. velocity: rev/s, the velocity limit.
+        """
         allowed = parameters.get("velocity_gain") * velocity
         if parameters.get("torque_mode_velocity_limit") and torque > allowed:
             raise DriverError(

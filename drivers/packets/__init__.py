@@ -1,1 +1,1 @@
-"""Request and reply packets on a half-duplex serial line, which several families of servos share."""
+"""Request and reply packets on a half-duplex serial line, which DYNAMIXEL and Feetech servos share."""

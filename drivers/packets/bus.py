@@ -1,9 +1,9 @@
-"""Requests to one servo and its replies, over dynamixel-sdk, in either protocol.
+"""Send requests to one servo and return its replies, over dynamixel-sdk, in either DYNAMIXEL protocol.
 
-The SDK handles the port, the search for the header and the checksum. This module corrects the rest. The SDK accepts any
-status packet as the reply, so id, kind and length are checked here. It accepts a late reply as the reply to the next
-request, so after a lost reply the line must fall silent before the next request. Requests are not sent by the SDK, so
-its flag for a port in use, which stays set after an exception, has no effect.
+The SDK handles the port, the search for the header and the checksum. This module corrects the following. The SDK
+accepts any status packet as the reply; here id, kind and length are checked. The SDK accepts a late reply as the reply
+to the next request; here the line must fall silent after a lost reply, before the next request. The SDK's flag for a
+port in use stays set after an exception; it has no effect, because the SDK does not send the requests.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 m
 
 
 class Bus:
-    """Requests to one servo. timeout: s that a reply may take beyond its time on the wire.
+    """Requests to one servo. timeout: s to wait for a reply, in addition to its time on the wire.
 
-    repeats: whether a request whose reply was lost is made again. alert: the hardware errors in the last reply, 0 for
-    none. return_delay: s that the servo waits before it replies.
-    Each request raises NoReply, BadReply, LinkLost, and DriverError where the servo refuses it.
+    repeats: whether a request whose reply was lost is sent again. alert: the hardware errors in the last reply, 0 if
+    there are none. return_delay: s that the servo waits before it replies. Each request raises NoReply, BadReply,
+    LinkLost, and DriverError if the servo refuses it.
     """
 
     def __init__(self, port: SerialPort, ident: int, clock: Clock, timeout: float, wire: Wire) -> None:
@@ -46,11 +46,11 @@ class Bus:
         self.return_delay = 508e-6
 
     def ping(self, size: int) -> bytes:
-        """Return the `size` bytes of parameters in the reply to a ping."""
+        """Send a ping and return the parameters of its reply, `size` bytes."""
         return self._ask(self._wire.frame(self._id, PING, b""), size, "ping")
 
     def ping_all(self) -> list[tuple[int, int]]:
-        """Return id and model number (0 where not reported) of every servo that replies to a broadcast ping."""
+        """Send a broadcast ping. Return id and model number (0 if not reported) of every servo that replies."""
         self._settle()
         self._quarantined = True
         self._put(self._wire.frame(BROADCAST, PING, b""))
@@ -62,16 +62,16 @@ class Bus:
         return list(self._wire.pings(received))
 
     def read(self, address: int, size: int) -> bytes:
-        """Return `size` bytes from `address` on."""
+        """Return `size` bytes of the servo's memory from `address` on."""
         return self._ask(self._read_frame(address, size), size, f"reading {size} byte(s) at {address}")
 
     def write(self, address: int, data: bytes) -> None:
-        """Write, and wait for the servo's confirmation."""
+        """Write `data` to `address`, and wait for the servo's confirmation."""
         frame = self._wire.frame(self._id, WRITE, self._wire.place(address) + data)
         self._ask(frame, 0, f"writing {int.from_bytes(data, 'little')} to {address}")
 
     def send(self, address: int, data: bytes) -> None:
-        """Write without waiting: neither for a reply nor for a silent line."""
+        """Write `data` to `address` at once: wait neither for a reply nor for a silent line."""
         self._put(self.unanswered(address, data))
 
     def write_and_read(self, address: int, data: bytes, start: int, size: int) -> bytes:
@@ -82,7 +82,9 @@ class Bus:
         return self._ask(self.unanswered(address, data) + self._read_frame(start, size), size, "reading the state")
 
     def silent(self, factory_rate: int) -> NoReply:
-        """Return the error of a servo that replies to nothing. factory_rate: bit/s of a new one."""
+        """Return the error for a servo that replies to no request. factory_rate: the baud rate of a new servo,
+        bit/s.
+        """
         return NoReply(
             f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
             f"the cable, the id and the baud rate (a new servo has id 1 and {factory_rate} baud), and the USB "
@@ -90,14 +92,14 @@ class Bus:
         )
 
     def garbled(self, error: BadReply) -> BadReply:
-        """Return the error of replies that cannot be decoded."""
+        """Return the error for replies that cannot be decoded. error: the reason."""
         return BadReply(
             f"the replies of servo {self._id} cannot be understood ({error}): two servos with that id, a wrong baud "
             "rate, or a bad cable; connect one servo alone and give each its own id"
         )
 
     def quarantine(self) -> None:
-        """Wait until the line is silent before the next request."""
+        """Make the next request wait until the line is silent."""
         self._quarantined = True
 
     def unanswered(self, address: int, data: bytes) -> bytes:
@@ -132,7 +134,7 @@ class Bus:
             raise link_lost(self._port.port_name, "it accepted only a part of a request")
 
     def _ask(self, frame: bytes, size: int, what: str) -> bytes:
-        """Send `frame` and return the `size` bytes of parameters in the reply."""
+        """Send `frame` and return the parameters of the reply, `size` bytes. what: name of the request in messages."""
         return self.repeats(lambda: self._ask_once(frame, size, what))
 
     def _ask_once(self, frame: bytes, size: int, what: str) -> bytes:

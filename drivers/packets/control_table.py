@@ -1,4 +1,4 @@
-"""The registers of one servo by name."""
+"""Read and write the registers of a servo by name."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
 
 
 class Register(Protocol):
-    """An item of the control table; size in bytes."""
+    """An item of a servo's control table."""
 
     @property
     def address(self) -> int:
-        """The address of its first byte."""
+        """The address of the register's first byte."""
 
     @property
     def size(self) -> int:
-        """Its number of bytes."""
+        """The number of bytes of the register."""
 
     def encoded(self, value: int) -> bytes:
-        """Return the bytes of `value`. Raises OverflowError if it does not fit."""
+        """Return the bytes of `value`. Raises OverflowError if `value` does not fit."""
 
     def decoded(self, data: bytes) -> int:
-        """Return the value of the bytes."""
+        """Return the value that the bytes encode."""
 
 
 class ControlTable:
     """The registers of the servo on `bus` by name. Every method raises what `Bus` does.
 
-    settings: written for a run and read back; those below `eeprom_end`, which keep their value without power, are
-    restored.
+    settings: registers that are written for a run and read back. Those below the address `eeprom_end` keep their value
+    without power, so they are restored at the end.
     """
 
     def __init__(self, bus: Bus, registers: Mapping[str, Register], eeprom_end: int) -> None:
@@ -57,11 +57,11 @@ class ControlTable:
         return self._bus.unanswered(register.address, register.encoded(value))
 
     def put(self, name: str, value: int) -> None:
-        """Write a register."""
+        """Write `value`, in counts, to the register `name`."""
         register = self.registers[name]
         self._bus.write(register.address, register.encoded(value))
 
     def _write(self, name: str, value: int) -> None:
-        """Write a register that is read back afterwards: a servo that confirms no writes takes it all the same."""
+        """Write a register without its confirmation, which may be missing: the register is read back afterwards."""
         with contextlib.suppress(NoReply):
             self.put(name, value)

@@ -1,4 +1,4 @@
-"""How another process switches off the torque of a servo on a packet-based serial bus."""
+"""How another process switches off the torque of a servo that uses packets on a serial line."""
 
 from __future__ import annotations
 
@@ -12,15 +12,18 @@ if TYPE_CHECKING:
     from drivers.packets.port import SerialPort
 
 _RESYNC = bytes(32)
-"""Longer than any packet sent here: it ends one that was cut off, whose checksum is wrong then, and begins none."""
+"""Zero bytes, more than any packet sent here has. They end a packet that was cut off (its checksum is then wrong) and
+begin none.
+"""
 
 
 def off_path(
     port: SerialPort, table: ControlTable, off: Iterable[str], zero_after: Iterable[str] = (), kept: Iterable[str] = ()
 ) -> OffPath:
-    """Return the packets that write zero to the registers `off`, then to `zero_after`, and that restore the settings.
+    """Return the packets that switch the torque off and that restore the settings, for another process to send.
 
-    kept: registers that are not restored.
+    off: registers to which zero is written to switch the torque off. zero_after: registers to which zero is written
+    afterwards. kept: registers that are not restored.
     """
     packets = tuple(table.unanswered(name, 0) for name in off)
     kept = frozenset(kept)

@@ -1,8 +1,8 @@
-"""A serial port for dynamixel-sdk that waits without polling, and never past its deadline.
+"""A serial port for dynamixel-sdk whose reads sleep instead of polling, and never wait longer than their deadline.
 
-The SDK's own port reads without blocking and so keeps a core busy; measures time with the wall clock, which steps;
-allows at least 34 ms for a reply; opens without a lock, so that two programs can drive one servo; and has no time limit
-for a write.
+The SDK's own port has these faults: it reads without blocking and so keeps a core busy; it measures time with the wall
+clock, which steps; it allows at least 34 ms for a reply; it opens without a lock, so that two programs can drive one
+servo; it has no time limit for a write.
 """
 
 from __future__ import annotations
@@ -18,15 +18,17 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 BUDGET = 4096
-"""Bytes read for one reply; a line that never falls silent must not block us."""
+"""Most bytes that are read for one reply: a line that never falls silent must not block this program."""
 SILENT_FOR = 2e-3
 """s without a byte after which the line counts as silent."""
 PATIENCE = 0.1
-"""s that the line may take to fall silent."""
+"""s to wait for the line to fall silent."""
 
 
 class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
-    """The port `name` at `baudrate` bit/s. Names in camel case are the SDK's."""
+    """The serial port `name` at `baudrate` bit/s, as dynamixel-sdk uses it. Method names in camel case are the
+    SDK's.
+    """
 
     def __init__(self, name: str, baudrate: int, clock: Clock) -> None:
         super().__init__(name)
@@ -38,29 +40,30 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         self._ahead = bytearray()
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
-        """Open it with an exclusive lock. Raises DriverError with the remedy."""
+        """Open the port with an exclusive lock. Raises DriverError with the remedy."""
         self.ser = open_port(self.port_name, self.baudrate)
         self.is_open = True
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
-        """Close it. Harmless when closed, or when the device is gone."""
+        """Close the port. Has no effect if the port is closed already or the device is gone."""
         self.is_open = False
         if self.ser is not None:
             with contextlib.suppress(*GONE):
                 self.ser.close()
 
     def expect(self, deadline: float, size: int) -> None:
-        """Start to wait for a reply of `size` bytes, until `deadline` s on the clock."""
+        """Prepare to read a reply of `size` bytes. deadline: s on the clock."""
         self._deadline = deadline
         self._budget = BUDGET
         self._whole = size
         self._ahead.clear()
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
-        """Return up to `length` bytes; wait for them no longer than `POLL` and the deadline allow.
+        """Return up to `length` bytes. Waits for them no longer than `POLL`, and not after the deadline.
 
-        The SDK reads the header of a reply first. The first wait is for the whole reply: one wake-up instead of two.
+        The SDK reads the header of a reply first. The first wait is for the whole reply, so that the process wakes up
+        once instead of twice.
         """
         if len(self._ahead) < length and self._budget > 0:
             wanted = max(length, self._whole) - len(self._ahead)
@@ -75,11 +78,13 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         return out
 
     def isPacketTimeout(self) -> bool:  # noqa: N802 - the SDK's name
-        """Return whether the deadline has passed, or more bytes were read than any reply has."""
+        """Return whether the deadline has passed, or more bytes were read than a reply can have."""
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
     def drain(self) -> bool:
-        """Discard received bytes until the line is silent. Returns False if it does not fall silent."""
+        """Discard received bytes until the line is silent. Return False if the line does not fall silent within
+        `PATIENCE`.
+        """
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() < end:

@@ -1,4 +1,4 @@
-"""A search for servos, for the case that the one of the stand file does not reply."""
+"""Search for servos on a serial port, in case the servo of the stand file does not reply."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def search_every_rate(
 ) -> list[str]:
     """Return a sentence for every servo that replies to a ping at any baud rate on the port `path`.
 
-    name: what to call a servo, from the open port, its id and its model number. clock, port: those of the machine
-    unless a test gives its own. Raises DriverError if the port cannot be opened.
+    rates: the baud rates to try, bit/s. wires: the protocols to try. name: a function that returns the name of a servo
+    from the open port, its id and its model number. clock, port: given by tests; None uses the real clock and opens the
+    port. Raises DriverError if the port cannot be opened.
     """
     clock = clock or MonotonicClock()
     sentences: list[str] = []

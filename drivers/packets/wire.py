@@ -1,6 +1,6 @@
-"""Packets on a line of servos: encoding of requests and decoding of replies, without I/O.
+"""Encode requests to servos and decode their replies (packets). No I/O.
 
-Protocol 1.0 of DYNAMIXEL is also what other vendors' servos speak, with error bits of their own. Source: e-manual,
+Other vendors' servos also use protocol 1.0 of DYNAMIXEL, with error bits of their own. Source: e-manual,
 emanual.robotis.com/docs/en/dxl/protocol1/.
 """
 
@@ -21,10 +21,10 @@ BROADCAST = 0xFE
 
 
 class Answer(NamedTuple):
-    """A status packet with a valid checksum.
+    """The content of a status packet whose checksum is right.
 
-    alert: the hardware errors it reports, 0 for none. damaged: whether the request reached the servo damaged.
-    refused: why the servo refused the request, "" if it did not.
+    alert: the hardware errors that the servo reports, 0 if there are none. damaged: whether the request reached the
+    servo damaged. refused: why the servo refused the request, "" if it did not.
     """
 
     ident: int
@@ -35,31 +35,35 @@ class Answer(NamedTuple):
 
 
 class Wire(Protocol):
-    """One of the protocols. status_size: bytes of a status packet without parameters."""
+    """The interface of a packet protocol. status_size: bytes of a status packet without parameters."""
 
     status_size: int
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """Return the bytes of a request."""
+        """Return the bytes of a request to the servo `ident`."""
 
     def place(self, *numbers: int) -> bytes:
-        """Return addresses and lengths as the protocol encodes them."""
+        """Return addresses and lengths, each encoded as the protocol requires."""
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
-        """Return the packet that the SDK reads from `port`, and its result. Raises IndexError for a bad length."""
+        """Read a packet from `port` with the SDK. Return its bytes and the SDK's result code. Raises IndexError for an
+        impossible length.
+        """
 
     def opened(self, raw: bytes) -> Answer | None:
-        """Return the content of a packet from `receive`; None if it is no status packet."""
+        """Decode a packet from `receive`; return None if the packet is no status packet."""
 
     def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
-        """Yield id and model number (0 where the protocol has none) of each reply to a ping in received bytes."""
+        """Find the replies to a ping in the received bytes. Yield id and model number of each (0 if the protocol has no
+        model number).
+        """
 
 
 class Wire1:
-    """Protocol 1.0. Every status packet carries the servo's hardware errors, and none names its request.
+    """Protocol 1.0. Every status packet carries the servo's hardware errors, but does not say which request it answers.
 
-    alerts: the bits of the error byte that are hardware errors. damaged: the bit for a request with a wrong checksum.
-    refusals: by bit, why a request was refused.
+    alerts: the bits of the error byte that are hardware errors. damaged: the bit that means that the request had a
+    wrong checksum. refusals: for each other bit, why the servo refused the request.
     """
 
     status_size = 6
@@ -76,7 +80,7 @@ class Wire1:
         return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 
     def place(self, *numbers: int) -> bytes:
-        """Return one byte for each."""
+        """Return addresses and lengths as one byte each."""
         return bytes(numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:
@@ -93,7 +97,7 @@ class Wire1:
         return Answer(raw[2], bits & self._alerts, bool(bits & self._damaged), refused, raw[5:-1])
 
     def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
-        """See `Wire`; the model number is not reported."""
+        """See `Wire`; the model number is always 0."""
         for part in received.split(b"\xff\xff")[1:]:
             if len(part) == 4 and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF:
                 yield part[0], 0

@@ -1,1 +1,1 @@
-"""A serial port and lines of text on it."""
+"""A serial port, and the lines of text that it receives."""

@@ -1,4 +1,4 @@
-"""Splitting of received bytes into lines of text, without I/O."""
+"""Split received bytes into lines of text. No I/O."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ LONGEST = 160
 
 
 class TextLines:
-    """Assembles lines from received pieces, without line ends (\\n, \\r or both) and empty lines.
+    r"""Assembles lines from received bytes. Line ends (\n, \r or both) are removed and empty lines are dropped.
 
-    A byte that is no ASCII becomes U+FFFD, so that a damaged line is one bad line and not two good ones.
+    A byte that is no ASCII becomes U+FFFD, so that a damaged line stays one bad line and does not become two good
+    lines.
     """
 
     def __init__(self) -> None:
         self._partial = b""
 
     def feed(self, data: bytes) -> list[str]:
-        """Return the lines that `data` completes."""
+        """Add received bytes and return the lines that are now complete."""
         *whole, rest = (self._partial + data).replace(b"\r", b"\n").split(b"\n")
         if len(rest) > LONGEST:  # a line without end is a bad one too
             whole.append(rest)

@@ -1,4 +1,4 @@
-"""Opening a serial port with an exclusive lock, and the interface of a port for every serial adapter."""
+"""Open a serial port with an exclusive lock, and the interface of an open port that every serial driver uses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import serial
 from drivers.servo import DriverError
 
 GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
-"""The errors of a port whose device is gone; pyserial passes on termios.error, which is no OSError."""
+"""The errors that mean that the port's device is gone. pyserial passes on termios.error, which is no OSError."""
 with contextlib.suppress(ImportError):  # POSIX only
     import termios
 
@@ -20,7 +20,7 @@ with contextlib.suppress(ImportError):  # POSIX only
 _NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
 POLL = 2e-3
-"""s that one read waits for bytes: the longest overrun of a deadline."""
+"""s that one read waits for bytes: a deadline is exceeded by no more than this."""
 WRITE_TIMEOUT = 0.05
 """s for a write; without a limit a write to a stuck port blocks for ever."""
 
@@ -34,14 +34,14 @@ REMEDIES = {
 
 
 class OpenPort(Protocol):
-    """An open port as the adapters use it: pyserial's `Serial`, or a test's own."""
+    """An open serial port as the drivers use it: pyserial's `Serial`, or an object of a test."""
 
     @property
     def in_waiting(self) -> int:
-        """The number of received bytes that were not read."""
+        """The number of received bytes that have not been read."""
 
     def read(self, size: int = 1, /) -> bytes:
-        """Return up to `size` bytes; wait for them no longer than `POLL`."""
+        """Return up to `size` bytes. Waits for them no longer than `POLL`."""
 
     def write(self, data: bytes, /) -> int | None:
         """Send `data`; return how many bytes were accepted."""
