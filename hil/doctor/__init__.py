@@ -1,1 +1,3 @@
-"""Check a stand: its link, its drive, its stop path, its signs and its lock."""
+"""The checks of `hil doctor`: the link, the drive, the torque-off, the signs of the readings, and the lock of the
+joint.
+"""

@@ -1,4 +1,4 @@
-"""Diagnostic checks of a stand: each with a verdict and the remedy, and the figures of the link."""
+"""The checks of `hil doctor`: each has a verdict and a remedy; and the measured speed of the link."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.servo import ServoInfo
 
 
 class Verdict(StrEnum):
-    """The outcome of a check."""
+    """The outcome of a check: passed, warning or error."""
 
     OK = "ok"
     WARNING = "warning"
@@ -20,7 +20,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check: its name, its verdict, and a sentence with the remedy."""
+    """One check: its name, its verdict, and a sentence that contains the remedy."""
 
     name: str
     verdict: Verdict
@@ -29,7 +29,9 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class LinkFigures:
-    """The link at its fastest: round trips and lost replies; rate Hz; median, p99 and longest round trip, s."""
+    """The speed of the link, measured as fast as the drive answers: numbers of round trips and lost replies; rate, Hz;
+    median, 99 % and longest round trip, s.
+    """
 
     exchanges: int
     lost: int
@@ -45,10 +47,11 @@ def _ignore(check: Check) -> None:
 
 @dataclass(slots=True)
 class CheckList:
-    """The checks so far. on_check: called with each as it is made.
+    """The checks made so far. on_check: called with each check when it has been made.
 
-    keys: for each check, the keys of the stand file on which it depends; an error names them. info and bus are None if
-    the checks ended before they were known; signal: the one that ended them early, or 0.
+    keys: for each check, the keys of the stand file on which the check depends; an error names these keys. info:
+    description of the drive. bus: speed of the link. Both are None if the checks ended before they were known. signal:
+    number of the signal that ended the checks early, or 0.
     """
 
     on_check: Callable[[Check], None] = _ignore
@@ -64,7 +67,7 @@ class CheckList:
         return all(check.verdict is not Verdict.ERROR for check in self.checks)
 
     def add(self, name: str, verdict: Verdict, message: str) -> None:
-        """Add a check."""
+        """Append a check with its verdict and message."""
         keys = self.keys.get(name, ()) if verdict is Verdict.ERROR else ()
         if keys and not any(key in message for key in keys):
             message += f" (in the stand file: {', '.join(keys)})"
@@ -73,9 +76,9 @@ class CheckList:
         self.on_check(check)
 
     def passed(self, name: str, message: str) -> None:
-        """Add a check that passed."""
+        """Append a check that passed."""
         self.add(name, Verdict.OK, message)
 
     def failed(self, name: str, message: str) -> None:
-        """Add a check that failed: an error."""
+        """Append a check that failed; its verdict is an error."""
         self.add(name, Verdict.ERROR, message)

@@ -1,4 +1,6 @@
-"""Commissioning: tests of a drive under a small torque, and their result, which `hil record` requires."""
+"""Commissioning: trials of a drive under a small torque, and their result, without which `hil record` allows half the
+torque only.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The result of commissioning, and the trials behind it; guardian: None if there is none."""
+    """The result of commissioning and the trials behind it. guardian: its trial, None if the drive has no guardian."""
 
     outcome: Commissioning
     info: ServoInfo
@@ -35,12 +37,12 @@ class Report:
 
     @property
     def good(self) -> bool:
-        """Return whether everything switches the drive's torque off."""
+        """Return whether every tested way switched the drive's torque off."""
         return self.outcome.releases and self.outcome.stops_ours
 
     @property
     def verdict(self) -> str:
-        """The answer in one line."""
+        """The result of commissioning in one line."""
         out = self.outcome
         if not out.releases:
             return (
@@ -55,7 +57,7 @@ class Report:
         return f"commissioned until {out.until}: {tried} each switch the torque off; kept for {identity(self.info)}"
 
     def as_json(self) -> dict[str, object]:
-        """Return the object for the JSON of `hil doctor`."""
+        """Return the commissioning result as an object for the JSON of `hil doctor`."""
         trials = {"second_signal": self.second_signal, "guardian": self.guardian, "watchdog": self.watchdog}
         return {
             "ok": self.good,
@@ -67,10 +69,10 @@ class Report:
 
 
 def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[str], object]) -> Report | None:
-    """Make the trials and store their result; None if one could not be made: `checks` says why.
+    """Make the trials and store their result. Return None if a trial could not be made: `checks` says why.
 
     The torque is off on return. say: called with a sentence before each trial. Raises WrongUse if the stand needs no
-    commissioning or the result cannot be stored, and Untrustworthy if the trials do not decide.
+    commissioning or the result cannot be stored, and Untrustworthy if the trials give no clear result.
     """
     if stand.stand.backend in NOTHING_TURNS:
         raise WrongUse(f"backend {stand.stand.backend!r} drives nothing real: it needs no commissioning")
@@ -88,7 +90,9 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
 
 
 def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str, Try]) -> Trial | None:
-    """Make a trial; repeat it if its run ended before it was made; None if it could not be made: see `checks`."""
+    """Make a trial, and make it again if the run ended before the trial. Return None if it could not be made: `checks`
+    says why.
+    """
     name, trial = named
     reason = ""
     for _ in range(_ATTEMPTS):
@@ -106,13 +110,13 @@ def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str,
 
 
 def _reduced(stand: Stand) -> Stand:
-    """Return the stand with half its torque limit, which accepts a drive without a watchdog for the trials."""
+    """Return the stand for the trials: with half the torque limit, and with a drive without a watchdog accepted."""
     table = stand.stand.model_copy(update={"torque_stays_on_if_host_dies": True})
     return with_torque_limit(replace(stand, stand=table), SHARE * stand.checked_limits().torque)
 
 
 def _kept(checks: CheckList, info: ServoInfo, mode: Quantity, trials: tuple[Trial, Trial | None, Trial]) -> Report:
-    """Judge the trials, store the result and return it."""
+    """Return the result that follows from the trials, after storing it for the drive."""
     signalled, guarded, watched = trials
     for name, trial in (("second signal", signalled), ("guardian", guarded), ("watchdog", watched)):
         if trial is not None:

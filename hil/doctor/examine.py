@@ -1,6 +1,6 @@
-"""The checks of `hil doctor`: connect, test the link, arm and stop, and on request jog the motor.
+"""The checks of `hil doctor`: connect, test the link, arm and stop, and on request move the motor a little (the jog).
 
-Every path ends in `disarm` and `close`. The jog is a run of the recorder, under its guard, with the stand's limits.
+Every path ends in `disarm` and `close`. The jog is a run of the recorder: its guard checks the stand's limits.
 """
 
 from __future__ import annotations
@@ -45,12 +45,13 @@ def examine(
     tuned: bool = False,
     say: Callable[[str], object] | None = None,
 ) -> Report | None:
-    """Make every check that the stand allows and add it to `checks`. The torque is off on return.
+    """Make every check that the stand allows and add each to `checks`. The torque is off on return.
 
-    rate: Hz that the link must reach. move: whether the motor may be driven, by `amplitude` N m or rad at the joint
-    (None: a twentieth of the limit). tuned: whether to look for the highest rate. say: commissions the drive, and is
-    called with a sentence before each of its trials; None: not. Return the outcome of that. Raises WrongUse if the
-    stand file does not suffice, and as `commission` does.
+    rate: the rate that the link must reach, Hz. move: whether the motor may be driven. amplitude: of that move, N m or
+    rad at the joint (None: a twentieth of the limit). tuned: whether to search for the highest rate. say: if given, the
+    drive is also commissioned, and `say` is called with a sentence before each trial. Return the result of
+    commissioning, None without it. Raises WrongUse if the stand file is incomplete for the checks, and the errors of
+    `commission`.
     """
     stand.checked_limits()
     check_backend(stand.stand.backend)
@@ -82,7 +83,7 @@ def examine(
 
 
 def _check_port(checks: CheckList, stand: Stand) -> None:
-    """Check the serial port or the CAN interface that the drive's table names, if it is on this computer."""
+    """Check that this computer has the serial port or CAN interface that the drive's table names."""
     table = stand.devices.get(str(stand.stand.backend))
     interface = getattr(table, "interface", None)
     name = getattr(table, "port", None) if interface is None else getattr(table, "channel", None)
@@ -99,7 +100,7 @@ def _check_port(checks: CheckList, stand: Stand) -> None:
 
 
 def _check_real_time(checks: CheckList) -> None:
-    """Check that the control loop may run before other programs."""
+    """Check that this user may run the control loop with real-time priority."""
     if sys.platform != "linux":
         return
     missing = missing_permissions()
@@ -112,7 +113,7 @@ def _check_real_time(checks: CheckList) -> None:
 
 @contextmanager
 def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Servo | None]:
-    """Yield the servo, or None if it cannot be opened. Its torque is off and its link closed afterwards."""
+    """Yield the servo, or None if it cannot be opened. Afterwards switch the torque off and close the link."""
     try:
         servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     except DriverError as error:
@@ -141,7 +142,9 @@ def _torque_off(checks: CheckList, servo: Servo) -> None:
 
 
 def _searched(stand: Stand, error: DriverError) -> str:
-    """Return a sentence about the devices that answer if the one in the stand file does not, "" without any."""
+    """Return a sentence about other devices on the link, if the device of the stand file does not answer; "" if there
+    are none.
+    """
     name = check_backend(stand.stand.backend)
     if not isinstance(error, NoReply | BadReply):
         return ""

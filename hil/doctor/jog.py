@@ -1,4 +1,6 @@
-"""The jog: a small move on request, which shows whether the signs agree and whether the joint is locked."""
+"""The jog: a small move of the motor, which shows whether the signs of the readings agree and whether the joint is
+locked.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,13 @@ _YIELDS = 0.2  # of the motor's swing, that a locked joint may turn
 
 @dataclass(frozen=True, slots=True)
 class Jog:
-    """The readings of a jog, peak to peak: motor, deflection and joint rad (joint NaN if not read), joint torque N m.
+    """The readings of a jog.
 
-    mode: of the command. follows: correlation of the deflection with the command. torque_follows: of the torque with
-    the command. elastic: of the torque with the deflection. residual: the deflection at the end over its swing.
-    joint_follows: of the joint's own torque with the motor's, NaN without both.
+    mode: what was commanded. motor, deflection, joint: peak-to-peak angles, rad (joint: NaN if not read). torque:
+    peak-to-peak torque at the joint, N m. follows: correlation of the deflection with the command. torque_follows:
+    correlation of the torque with the command. elastic: correlation of the torque with the deflection. residual:
+    deflection at the end, divided by its peak-to-peak value. joint_follows: correlation of the torque cell's reading
+    with the motor's torque, NaN if one is missing.
     """
 
     mode: Quantity
@@ -46,7 +50,9 @@ class Jog:
     joint_follows: float
 
     def moved(self, position_lsb: float) -> bool:
-        """Return whether the motor moved by more than its counts, `position_lsb` rad (NaN if not known)."""
+        """Return whether the motor moved by more than its resolution. position_lsb: size of an encoder count, rad (NaN
+        if unknown).
+        """
         return self.motor > _FEW_COUNTS * (position_lsb if math.isfinite(position_lsb) else 1e-4)
 
     def wrong_signs(self) -> list[str]:
@@ -61,7 +67,7 @@ class Jog:
         return wrong
 
     def locked(self) -> tuple[bool, str]:
-        """Return whether the joint is locked, and a sentence with the reason."""
+        """Return whether the joint is locked, and a sentence why."""
         if math.isfinite(self.joint):
             share = self.joint / max(self.deflection + self.joint, 1e-12)
             if share > _YIELDS:
@@ -78,9 +84,10 @@ class Jog:
 def run_jog(
     stand: Stand, servo: Servo, mode: Quantity, stop: StopRequest, *, amplitude: float, rate: float
 ) -> tuple[Outcome, Jog | None]:
-    """Drive two swings of `amplitude` N m or rad at the joint, at `rate` Hz, under the recorder's guard.
+    """Drive two swings of `amplitude` N m or rad at the joint, at `rate` Hz, with the recorder and its guard.
 
-    The servo is disarmed on return. The jog is None where too few replies came.
+    The servo is disarmed on return. Return the outcome of the run, and the readings; the readings are None if there
+    were too few replies.
     """
     profile = excitation.make(
         "sine",
@@ -125,7 +132,9 @@ def _swing(values: Array) -> float:
 
 
 def _correlation(a: Array, b: Array) -> float:
-    """Return the correlation of two channels (n,) over the rows where both are numbers; NaN where one is constant."""
+    """Return the correlation of two channels (n,), without rows in which either is NaN. NaN if a channel is
+    constant.
+    """
     both = np.isfinite(a) & np.isfinite(b)
     if np.count_nonzero(both) < 2 or np.ptp(a[both]) == 0.0 or np.ptp(b[both]) == 0.0:
         return math.nan

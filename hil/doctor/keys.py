@@ -1,4 +1,4 @@
-"""The keys of the stand file that the checks depend on, so that an error can name what to change."""
+"""The keys of the stand file on which each check depends, so that an error can name the keys to change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DEVICE = {
     "watchdog": ("watchdog",),
     "signs": ("sign",),
 }
-"""Keys of the drive's own table, by check."""
+"""For each check, the keys of the drive's table on which it depends."""
 _SENSOR = {"joint sensor": ("port", "baudrate", "format"), "signs": ("sign",)}
 _STAND = {
     "readings": ("stand.torque_source",),
@@ -26,7 +26,7 @@ _STAND = {
 
 
 def keys_of(stand: Stand) -> dict[str, tuple[str, ...]]:
-    """Return the keys, as "table.key", on which each check of a stand depends, by the name of the check."""
+    """Return, for each check by name, the keys of the stand file on which it depends, as "table.key"."""
     found: dict[str, list[str]] = {name: list(keys) for name, keys in _STAND.items()}
     backend = str(stand.stand.backend)
     for table, related in ((backend, _DEVICE), ("joint_sensor", _SENSOR)):

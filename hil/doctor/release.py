@@ -1,4 +1,4 @@
-"""Whether a drive released its torque: its readings at rest, under a load, and after the load should be gone."""
+"""Decides whether a drive released its torque, from its readings at rest, under a load, and after the torque-off."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ _READINGS = (
 
 
 class Left(NamedTuple):
-    """The remaining fraction of the load, also in words; releases: None if it cannot be decided.
+    """The remaining load of a drive after the torque-off.
 
-    measured: whether the motor's own torque decided, which friction cannot hold.
+    releases: whether the drive released its torque, None if that cannot be decided. share: the remaining fraction of
+    the load. words: the same in words. measured: whether the motor's torque was used for the decision; unlike the
+    deflection it is not held by friction.
     """
 
     releases: bool | None
@@ -31,10 +33,10 @@ class Left(NamedTuple):
 
 
 class Load:
-    """The readings of a drive at rest and under a load.
+    """The load of a drive, from its readings at rest and under the load.
 
-    rest and loaded: samples of each, at the motor shaft. measures: whether it measures the motor's torque while it is
-    off.
+    rest, loaded: samples at the motor shaft. measures: whether the drive measures the motor's torque while the torque
+    is off.
     """
 
     def __init__(self, rest: Sequence[Sample], loaded: Sequence[Sample], *, measures: bool = True) -> None:
@@ -47,10 +49,10 @@ class Load:
                     self._levels[name] = (fmean(before), change)
 
     def left(self, after: Sequence[Sample]) -> Left:
-        """Return what remains of the load in the samples `after`.
+        """Return the remaining load in the samples `after`.
 
-        The first of these readings that the load changed by more than its noise decides: the motor's torque, the
-        joint's torque, the deflection, which friction may hold.
+        One reading decides: the motor's torque, the joint's torque or the deflection, in this order, whichever first
+        changed by more than its noise under the load. The deflection may be held by friction.
         """
         shares = {name: share for name, _ in _READINGS if math.isfinite(share := self._share(name, after))}
         if not shares:

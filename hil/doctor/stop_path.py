@@ -1,4 +1,6 @@
-"""The stop path of a drive, at zero torque: torque-off on request, and by its watchdog when no request arrives."""
+"""Tests of the torque-off of a drive, at zero torque: on request, and by the drive's watchdog when no request
+arrives.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ _TRIES = 5
 
 
 def answered(servo: Servo) -> Sample:
-    """Read the servo without a set-point; a lost reply is asked for again. Raises as `exchange` does."""
+    """Read the servo without a set-point; if a reply is lost, ask again. Raises as `exchange` does."""
     for _ in range(_TRIES - 1):
         try:
             return servo.exchange(Command.rest())
@@ -23,7 +25,8 @@ def answered(servo: Servo) -> Sample:
 
 
 def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) -> None:
-    """Arm without a set-point, turn the torque off, and check that a set-point is refused after it.
+    """Arm the drive without a set-point, switch the torque off, and check that the drive refuses a set-point
+    afterwards.
 
     Raises DeviceFault and DriverError as `arm` and `disarm` do.
     """
@@ -50,7 +53,10 @@ def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) 
 
 
 def check_watchdog(checks: CheckList, servo: Servo, limits: Limits) -> None:
-    """Arm, send nothing for longer than the drive's watchdog, and check that it stopped. Raises as `check_stop`."""
+    """Arm the drive, send nothing for longer than the time of its watchdog, and check that the drive has stopped.
+
+    Raises DeviceFault and DriverError as `arm` and `disarm` do.
+    """
     period = servo.info.watchdog
     if not period:
         remedy = servo.info.watchdog_remedy or "keep a switch for its power at hand"

@@ -1,8 +1,8 @@
-"""The trials of commissioning, each under a tenth of the torque limit: the drive gets no commands, its guardian acts,
-and this process gets two signals to stop.
+"""The trials of commissioning, each under a tenth of the torque limit. There are three: the drive gets no commands, the
+guardian acts, and this process gets two signals to stop.
 
-Each trial is a run of the recorder, under its guard and its guardian, whose torque-off ends it in any case. In the
-middle of the run the trial withholds the drive's commands and reads the drive.
+Each trial is a run of the recorder with its guard and its guardian, so that the run ends with a torque-off in any case.
+In the middle of the run the trial withholds the commands to the drive and reads the drive.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from hil.stand.opening import open_servo
 from hil.stand.servo import StandServo
 
 LOAD = 0.1
-"""The fraction of the torque limit, or of the deflection limit, that is applied."""
+"""The load of a trial, as a fraction of the torque limit or of the deflection limit."""
 _WATCH = Watch(silence=0.25, longest=10.0)
 _RATE = 100.0  # Hz
 _RISE, _HOLD = 0.5, 0.3  # s of the load's rise, and under it before the trial: a torque that stays longer looks stuck
@@ -59,28 +59,31 @@ _SETTLES = 0.1  # s after torque-off until it is read
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The result of one trial. left: of the load, after `seconds`."""
+    """The result of one trial. left: the remaining load after `seconds` s."""
 
     left: Left
     seconds: float
 
 
 Try = Callable[[Servo, Load], Trial | None]
-"""A function that withholds the commands of the loaded servo. None: the run continues, and its end is the trial."""
+"""A function that withholds the commands of the loaded servo and returns the trial. If it returns None, the run
+continues, and the torque-off at the end of the run is the trial.
+"""
 
 
 class EndedEarly(Exception):
-    """A run ended before its trial was made, with its torque off; the message is the reason."""
+    """A run ended, with its torque off, before the trial was made; the message is the reason."""
 
 
 class _TrialOver(Exception):
-    """The trial has been made, which ends its run."""
+    """Raised inside a run to end it, because the trial has been made."""
 
 
 class _TriedServo:
-    """`servo` under the recorder, on which `trial` is made in the middle of the run.
+    """A servo for the recorder that makes `trial` in the middle of the run and passes everything else on to `servo`.
 
-    torque_of: a sample's torque at the joint, N m, magnitude. goal: of it, N m, at which a position is held.
+    torque_of: function that returns the magnitude of a sample's torque at the joint, N m. goal: the torque, N m, at
+    which a commanded position is held.
     """
 
     def __init__(self, servo: Servo, trial: Try, torque_of: Callable[[Sample], float], goal: float) -> None:
@@ -96,17 +99,17 @@ class _TriedServo:
         self._held: Command | None = None
 
     def arm(self, limits: Limits) -> None:
-        """See `Servo`."""
+        """Arm the servo."""
         self._servo.arm(limits)
         self._armed = True
 
     def disarm(self) -> None:
-        """See `Servo`."""
+        """Switch the servo's torque off."""
         self._armed, self._held = False, None
         self._servo.disarm()
 
     def exchange(self, command: Command) -> Sample:
-        """See `Servo`. Raises _TrialOver too."""
+        """Send a command to the servo and return its sample. Raises as the servo, and _TrialOver after the trial."""
         sample = self._servo.exchange(self._held or command)
         if not self._armed:
             self._rest.append(sample)
@@ -152,7 +155,9 @@ def read(servo: Servo) -> Sample:
 
 
 def try_silence(servo: Servo, load: Load) -> Trial:
-    """Send nothing for longer than the drive's watchdog, then read it once: a second reading might change it."""
+    """Send nothing for longer than the time of the drive's watchdog, then read the drive once: reading might change its
+    state.
+    """
     seconds = silence(servo.info)
     own = inner(servo)
     if not isinstance(own, FallsSilent):
@@ -166,7 +171,7 @@ def try_silence(servo: Servo, load: Load) -> Trial:
 
 
 def try_guardian(servo: Servo, load: Load) -> Trial:
-    """Let the guardian switch the torque off, and read the drive beside it."""
+    """Let the guardian switch the torque off, and read the drive without sending commands."""
     own = inner(servo)
     if not isinstance(own, GuardedServo):
         raise DriverError("this servo has no guardian")
@@ -184,21 +189,22 @@ def try_guardian(servo: Servo, load: Load) -> Trial:
 
 
 def try_second_signal(servo: Servo, load: Load) -> None:
-    """Send this process two signals to stop, as two times Ctrl-C does."""
+    """Send two stop signals to this process, as pressing Ctrl-C twice does."""
     del servo, load
     for _ in range(_SIGNALS):
         signal.raise_signal(signal.SIGINT)
 
 
 def inner(servo: Servo) -> Servo:
-    """Return the servo itself, without the joint's sensor."""
+    """Return the servo of the drive itself, without the layer that adds the joint's sensor."""
     return servo.inner if isinstance(servo, StandServo) else servo
 
 
 def make_trial(checks: CheckList, stand: Stand, mode: Quantity, name: str, trial: Try) -> Trial | None:
-    """Open the servo, make one trial and close it; None if there is none to make, or a signal arrived: see `checks`.
+    """Open the servo, make one trial and close the servo. Return None if no trial was made or a signal arrived:
+    `checks` says why.
 
-    Raises EndedEarly, WrongUse, DriverError. The torque is off on return, or `checks` has the alarm.
+    Raises EndedEarly, WrongUse, DriverError. The torque is off on return; otherwise `checks` contains an alarm.
     """
     servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     try:
@@ -242,7 +248,7 @@ def _made(checks: CheckList, stand: Stand, mode: Quantity, what: tuple[Servo, Tr
 
 
 def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
-    """Raise WrongUse if the drive cannot distinguish a load of `load` N m from none."""
+    """Raise WrongUse if a load of `load` N m is too small for the resolution of the drive."""
     if mode is Quantity.TORQUE and load < _COUNTS * info.torque_lsb:
         raise WrongUse(
             f"{LOAD * 100:.0f} % of the torque limit is {load:.2g} N m at the motor, below {_COUNTS:g} counts of this "
@@ -252,7 +258,9 @@ def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
 
 
 def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases: Phases) -> Trial | None:
-    """Read the drive after its confirmed torque-off. Return the trial, by default that of this torque-off."""
+    """Read the drive after its confirmed torque-off. Return the trial `made`; if it is None, return the trial of this
+    torque-off.
+    """
     off_at = next(t for t, phase in phases.history if phase is Phase.OFF)
     tried.clock.sleep_until(tried.clock.now() + _SETTLES)
     left = tried.load.left([read(tried)])
@@ -262,6 +270,6 @@ def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases
 
 
 def _profile(mode: Quantity, size: float) -> Profile:
-    """Return a rise to `size`, N m or rad at the joint, and its hold."""
+    """Return a profile that rises to `size`, N m or rad at the joint, and stays there."""
     duration = 2.0 * (_RISE + _HOLD)
     return Profile("file", mode, size, duration, (0.1, 1.0), _RISE, 0, "", np.ones_like)

@@ -1,6 +1,6 @@
-"""The highest rate at which a drive answers in time, and the settings needed for it: `hil doctor --tune`.
+"""`hil doctor --tune`: the highest rate at which a drive answers in time, and the settings for that rate.
 
-The torque stays off. A reply is in time if it arrives before the next tick is due.
+The torque stays off. A reply is in time if it arrives before the next tick begins.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ _LATENCY = 1  # ms
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """latency: ms of the USB adapter's timer, None if it has none. return_delay: s, None if the drive has none.
+    """A combination of settings that affect the rate.
 
-    urgent: whether the loop runs in the real-time class.
+    latency: latency timer of the USB adapter, ms, None if it has no timer. return_delay: return delay of the drive, s,
+    None if it has no such setting. urgent: whether the control loop runs in the real-time class.
     """
 
     latency: int | None
@@ -43,14 +44,18 @@ class Setting:
     urgent: bool
 
     def named(self, backend: str) -> str:
-        """Return the setting in words."""
+        """Return the settings in words, for the drive `backend`."""
         words = [] if self.latency is None else [f"latency timer {self.latency} ms"]
         words += [] if self.return_delay is None else [f"{backend}.return_delay = {self.return_delay:g}"]
         return ", ".join([*words, "real-time class" if self.urgent else "default scheduling"])
 
 
 class Reached(NamedTuple):
-    """rate: the highest, Hz (0: none). share: of the replies that were in time at it; replies: their number."""
+    """The highest rate that was reached.
+
+    rate: Hz (0: no rate). share: the fraction of the replies that were in time at this rate. replies: number of
+    replies.
+    """
 
     rate: float
     share: float
@@ -58,7 +63,7 @@ class Reached(NamedTuple):
 
 
 def tune(checks: CheckList, stand: Stand, mode: Quantity, stop: StopRequest) -> None:
-    """Measure each setting of the stand that is possible here, and add a check with the best one."""
+    """Measure the rate with each possible setting, and add a check that names the best setting."""
     found: list[tuple[Setting, Reached]] = []
     port = _adapter(stand)
     for setting in _settings(stand, port):
@@ -90,7 +95,7 @@ def highest_rate(servo: Servo, stop: StopRequest) -> Reached:
 
 
 def _trips(servo: Servo, stop: StopRequest) -> list[float]:
-    """Return the round trips, s, as fast as possible; a lost reply is infinite."""
+    """Return the times of round trips, s, made as fast as possible; a lost reply has an infinite time."""
     clock, trips = servo.clock, list[float]()
     end = clock.now() + _LONGEST / 4.0
     while len(trips) < _FEW and clock.now() < end and not stop.count:
@@ -101,9 +106,9 @@ def _trips(servo: Servo, stop: StopRequest) -> list[float]:
 
 
 def _paced(servo: Servo, rate: float, stop: StopRequest) -> tuple[float, int]:
-    """Return the share of replies that come before the next tick at `rate` Hz, and the number of ticks.
+    """Return the fraction of replies that come before the next tick at `rate` Hz, and the number of ticks.
 
-    It ends as soon as too many are late.
+    The measurement ends as soon as too many replies are late.
     """
     clock = servo.clock
     ticks = max(10, min(_TICKS, int(rate * _LONGEST)))
@@ -125,14 +130,14 @@ def _answered(servo: Servo) -> bool:
 
 
 def _adapter(stand: Stand) -> str:
-    """Return the name of the serial adapter in /sys, "" where the stand has no serial port."""
+    """Return the name of the serial adapter in /sys, "" if the stand has no serial port."""
     table = stand.devices.get(str(stand.stand.backend))
     port = getattr(table, "channel" if getattr(table, "interface", None) == "slcan" else "port", None)
     return Path(port).resolve().name if isinstance(port, str) else ""
 
 
 def _settings(stand: Stand, port: str) -> Iterator[Setting]:
-    """Yield the settings from that of the stand to the fastest, each with one change more."""
+    """Yield settings, from the stand's own to the fastest; each differs from the previous one by one change."""
     table: Any = stand.devices.get(str(stand.stand.backend))
     setting = Setting(latency_timer(port), getattr(table, "return_delay", None), urgent=False)
     yield setting
@@ -148,7 +153,7 @@ def _settings(stand: Stand, port: str) -> Iterator[Setting]:
 
 @contextmanager
 def _applied(stand: Stand, port: str, setting: Setting) -> Iterator[Stand]:
-    """Yield the stand with a setting applied; afterwards the adapter's previous setting is restored."""
+    """Apply a setting and yield the stand with it; afterwards restore the adapter's previous setting."""
     backend = str(stand.stand.backend)
     table: Any = stand.devices.get(backend)
     if setting.return_delay is not None:

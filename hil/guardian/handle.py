@@ -1,4 +1,4 @@
-"""The guarded process's side of the guardian: start it, send signs of life, check what it did, end it."""
+"""The guarded process's side of the guardian: start the guardian, send signs of life, check its state, end it."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ _FIRED = {
 
 
 class GuardianFired(DriverError):
-    """The guardian switched the torque off: this process was stopped, or late."""
+    """The error that the guardian has switched the torque off, because this process was stopped or late."""
 
 
 class GuardianLost(DriverError):
-    """The guardian is gone or frozen: nothing would switch the torque off if this process died."""
+    """The error that the guardian has ended or is frozen: nothing would switch the torque off if this process died."""
 
 
 def available() -> bool:
-    """Return whether this system can have a guardian: it must inherit open descriptors, which Windows does not
-    offer.
+    """Return whether this system can run a guardian. Windows cannot, because a child process cannot inherit open
+    descriptors there.
     """
     return os.name == "posix"
 
 
 class Guardian:
-    """A running guardian of the drive at the end of `path`. silence: the time without a sign of life, s, after which it
-    acts.
+    """A running guardian of a drive, as seen from the guarded process.
 
-    Raises DriverError if it cannot be started, or cannot reach the drive.
+    path: how the guardian reaches the drive. silence: the time without a sign of life, s, after which the guardian
+    switches the torque off. Raises DriverError if the guardian cannot be started, or cannot reach the drive.
     """
 
     def __init__(self, path: OffPath, silence: float) -> None:
@@ -62,7 +62,7 @@ class Guardian:
             raise
 
     def _started(self, path: OffPath) -> tuple[subprocess.Popen[bytes], int]:
-        """Return the process and the write end of its pipe."""
+        """Start the guardian's process. Return the process and the write end of the pipe to it."""
         way = asdict(path) | {"parent": os.getpid(), "words": self._words.descriptor, "resync": path.resync.hex()}
         way |= {"off": _hex(path.off), "restore": _hex(path.restore)}
         heard, commands = os.pipe()
@@ -100,24 +100,28 @@ class Guardian:
             raise _not_started(f"{name}: {said or 'it ended at once'}")
 
     def beat(self, takes: float = 0.0) -> None:
-        """Give a sign of life. The next one is due within `silence`, plus the `takes` s of the present action."""
+        """Give a sign of life. The next sign must come within `silence` s, plus `takes` s for the action that begins
+        now.
+        """
         self._words[Word.DUE] = now() + self._silence + int(takes * 1e9)
 
     def expect(self, seconds: float) -> None:
-        """Set the next sign of life to be due in `seconds` s; infinity: not at all, while the torque is off."""
+        """Require the next sign of life in `seconds` s; infinity: require none, while the torque is off."""
         self._words[Word.DUE] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     def limit(self, seconds: float) -> None:
-        """Set the latest time at which the torque must be off, in `seconds` s; infinity: no limit."""
+        """Require that the torque is off in `seconds` s at the latest; infinity: no such limit."""
         self._words[Word.LATEST] = now() + int(seconds * 1e9) if math.isfinite(seconds) else 0
 
     @property
     def fired(self) -> bool:
-        """Return whether it has switched the torque off."""
+        """Return whether the guardian has switched the torque off."""
         return self._words[Word.FIRED] != 0
 
     def check(self) -> None:
-        """Raise GuardianFired if it has switched the torque off, GuardianLost if it would not."""
+        """Raise GuardianFired if the guardian has switched the torque off, GuardianLost if it has ended or is
+        frozen.
+        """
         fired = self._words[Word.FIRED]
         if fired:
             raise GuardianFired(
@@ -138,20 +142,25 @@ class Guardian:
         )
 
     def restore(self, path: OffPath) -> None:
-        """Send it the settings to restore: those that arming changed."""
+        """Send the guardian the packets that restore the settings which arming has changed."""
         self._say({"restore": _hex(path.restore)})
 
     def fire(self, *, tried: bool = False) -> None:
-        """Let it send torque-off too, because the drive did not confirm ours; tried: as a test, without a message."""
+        """Let the guardian send the torque-off too, because the drive did not confirm this process's torque-off.
+
+        tried: whether this is only a test, without a message on the terminal.
+        """
         self._say({"fire": True, "tried": True} if tried else {"fire": True})
 
     def stand_down(self) -> None:
-        """End it; returns after it has ended, so that it sends nothing more. Harmless if it has ended."""
+        """End the guardian and wait until its process has ended, so that it sends nothing more. Harmless if it has
+        ended already.
+        """
         self._say({"stand_down": True})
         _end(self._process)
 
     def close(self) -> None:
-        """End it, and release the memory."""
+        """End the guardian, and release the shared memory."""
         self.stand_down()
         os.close(self._commands)
         self._words.close()

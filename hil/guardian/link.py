@@ -1,4 +1,4 @@
-"""The guardian's own access to a link: an inherited descriptor, or a bus that it opens a second time."""
+"""The guardian's access to the link: a descriptor inherited from the guarded process, or a bus opened a second time."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from typing import Any
 _PATIENCE = 0.05  # s for one packet that the link does not accept
 
 Send = Callable[[bytes], None]
-"""A function that sends one complete packet. Raises OSError if it cannot."""
+"""A function that sends one complete packet. Raises OSError if the packet cannot be sent."""
 
 
 def opened(way: dict[str, Any]) -> Send:
-    """Return the function that sends over the link described by `way`, see `drivers.off_path.OffPath`.
+    """Return a function that sends over the link that `way` describes: the fields of `drivers.off_path.OffPath`.
 
     Raises OSError if the bus cannot be opened a second time.
     """
@@ -33,7 +33,7 @@ def opened(way: dict[str, Any]) -> Send:
 
 
 def discard_unsent(descriptor: int) -> None:
-    """Discard what the other process wrote to a serial port and the port has not sent yet."""
+    """Discard the bytes that the guarded process wrote to a serial port and that the port has not sent yet."""
     with contextlib.suppress(ImportError, OSError):
         import termios
 

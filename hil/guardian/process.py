@@ -1,9 +1,10 @@
 """The guardian's process, started by `hil.guardian.handle` before the motor is armed.
 
-It has everything it needs before a fault occurs: an open link, the frames that switch the torque off, and the time at
-which the guarded process must give its next sign of life. It sends those frames if that process is gone, is stopped, is
-late, or runs longer than its profile. A guarded process that continues later finds that it must not (`Word.FIRED`).
-Standard library only, in its own session, ignoring the signals of a terminal.
+Before a fault occurs, the guardian has everything it needs: an open link, the frames that switch the torque off, and
+the time at which the guarded process must give its next sign of life. The guardian sends these frames if the guarded
+process has ended, is stopped, is late, or runs longer than its profile. A guarded process that continues later reads in
+`Word.FIRED` that it must not. The module uses the standard library only. The process has its own session and ignores
+the signals of a terminal.
 """
 
 from __future__ import annotations
@@ -38,11 +39,14 @@ _WHY = {
 
 
 class StandDown(Exception):
-    """The guarded process has switched the torque off by itself, and needs no guardian any more."""
+    """Raised when the guarded process has switched the torque off and needs no guardian any more."""
 
 
 class Parent:
-    """The guarded process: whether it lives, is stopped, and what it says. commands: the read end of its pipe."""
+    """The state of the guarded process, and the commands that it sends.
+
+    gone: whether the process has ended. commands: the read end of the pipe from it.
+    """
 
     def __init__(self, pid: int, commands: int) -> None:
         self.gone = False
@@ -59,7 +63,9 @@ class Parent:
             self._state = -1
 
     def listen(self, seconds: float) -> list[dict[str, Any]]:
-        """Wait for up to `seconds` and return what the process says; sets `gone`."""
+        """Wait for up to `seconds` s and return the commands that have come. Sets `gone` if the guarded process has
+        ended.
+        """
         out: list[dict[str, Any]] = []
         for descriptor, _ in self._poll.poll(max(0.0, seconds) * 1e3):
             received = os.read(descriptor, 1 << 16) if descriptor == self._commands else b""
@@ -72,15 +78,17 @@ class Parent:
         return out
 
     def stands_still(self) -> bool:
-        """Return whether it was stopped by a signal or a debugger; False if the system does not tell."""
+        """Return whether the guarded process is stopped by a signal or a debugger; False if the system does not say."""
         return self._stat()[0] in {b"T", b"t"}
 
     def ends(self) -> bool:
-        """Return whether it is about to end: a killed process first frees its memory, which takes time."""
+        """Return whether the guarded process is about to end: a killed process first frees its memory, which takes
+        time.
+        """
         return bool(int(self._stat()[6]) & _ENDING)
 
     def _stat(self) -> list[bytes]:
-        """Return the fields of its state in /proc behind its name: see proc(5)."""
+        """Return the fields of the guarded process in /proc/PID/stat that follow its name: see proc(5)."""
         if self._state < 0:
             return _UNKNOWN
         try:
@@ -91,7 +99,10 @@ class Parent:
 
 
 class Guardian:
-    """The process. way: the `OffPath`, as JSON. send: sends a packet over it."""
+    """Watches the guarded process `parent` and switches the torque off in its place.
+
+    way: fields of the `OffPath`, from JSON. send: function that sends a packet to the drive. words: the shared memory.
+    """
 
     def __init__(self, way: dict[str, Any], send: Send, parent: Parent, words: Words) -> None:
         self._send = send
@@ -108,7 +119,9 @@ class Guardian:
         self._error = ""
 
     def watch(self) -> Reason:
-        """Return why the torque must go off, once it must. Raises StandDown."""
+        """Wait until the torque must be switched off, and return the reason. Raises StandDown if the guardian is not
+        needed any more.
+        """
         while True:
             looked = self._words[Word.ALIVE] = now()
             due = self._words[Word.DUE]
@@ -118,7 +131,11 @@ class Guardian:
                 return reason
 
     def _reason(self, looked: int) -> Reason | None:
-        """`looked`, the time now, is read before the words: a sign of life that comes meanwhile is never missed."""
+        """Return why the torque must be switched off, None if it need not be.
+
+        looked: the present time, read before the shared memory, so that a sign of life that comes meanwhile is not
+        missed.
+        """
         if self._parent.gone or self._parent.ends():
             return Reason.GONE
         if self._asked:
@@ -133,14 +150,16 @@ class Guardian:
         return Reason.STOPPED if self._stays_still(due) else None
 
     def _stays_still(self, due: int) -> bool:
-        """Return whether it was stopped at the last look too, without a sign of life since: a tracer stops it briefly
-        too.
+        """Return whether the guarded process was stopped at this check and at the previous one, without a sign of life
+        in between. One check is not enough: a tracer stops a process briefly.
         """
         before, self._still_since_due = self._still_since_due, due if self._parent.stands_still() else -1
         return before == due == self._still_since_due
 
     def fire(self, reason: Reason) -> None:
-        """Switch the torque off, and keep it off until the guarded process is gone or takes over. Raises StandDown."""
+        """Switch the torque off, and keep it off until the guarded process has ended or takes over again. Raises
+        StandDown.
+        """
         self._words[Word.FIRED] = int(reason)
         if self._descriptor >= 0:
             discard_unsent(self._descriptor)
@@ -176,7 +195,7 @@ class Guardian:
         return True
 
     def _hear(self, seconds: float) -> None:
-        """Wait, and take what the guarded process says. Raises StandDown."""
+        """Wait up to `seconds` s, and carry out the commands of the guarded process. Raises StandDown."""
         for said in self._parent.listen(seconds):
             if "restore" in said:
                 self._restore = [bytes.fromhex(packet) for packet in said["restore"]]
@@ -186,7 +205,7 @@ class Guardian:
                 raise StandDown
 
     def _say(self, reason: Reason) -> None:
-        """Tell the person at the terminal, who may be the only one left."""
+        """Print at the terminal why the torque was switched off: the guarded process may be unable to print it."""
         self._said = True
         text = "the guardian sent torque-off" if self._sent else f"CUT THE POWER: torque-off failed ({self._error})"
         with contextlib.suppress(OSError, ValueError):
@@ -195,7 +214,7 @@ class Guardian:
 
 
 def main() -> None:
-    """Guard the process that started this one, over its pipe and its memory, until it is dismissed."""
+    """Guard the process that started this one, until that process ends the guardian."""
     _be_undisturbed()
     way = json.loads(sys.argv[1])
     try:

@@ -1,4 +1,4 @@
-"""A servo with a guardian: signs of life are given where the recorder waits and where it sends."""
+"""A servo with a guardian: it gives a sign of life whenever the recorder waits or sends."""
 
 from __future__ import annotations
 
@@ -25,20 +25,23 @@ _LONGEST_SILENCE = 1.3  # s without a sign of life while a watchdog is tried
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """When the guardian acts. silence: s without a sign of life. longest: s from arming until the torque is off."""
+    """When the guardian switches the torque off.
+
+    silence: time without a sign of life, s. longest: time from arming until the torque must be off, s.
+    """
 
     silence: float = 0.045
     longest: float = math.inf
 
 
 class GuardedClock(MonotonicClock):
-    """Monotonic time; a wait gives signs of life by `beat`."""
+    """A monotonic clock that gives signs of life while it waits, by calling `beat`."""
 
     def __init__(self, beat: Callable[[], None]) -> None:
         self._beat = beat
 
     def sleep_until(self, t: float) -> None:
-        """Return at `t` s or later; at once where `t` has passed. Raises as `GuardedServo.beat`."""
+        """Wait until `t` s; return at once if `t` has passed. Raises as `GuardedServo.beat`."""
         while self.now() + _SLICE < t:
             self._beat()
             time.sleep(_SLICE)
@@ -48,10 +51,12 @@ class GuardedClock(MonotonicClock):
 
 
 class GuardedServo:
-    """`servo`, whose torque a guardian switches off where this process cannot. It runs from arming to `close`.
+    """The servo `servo` with a guardian, which switches the torque off if this process cannot.
 
-    It runs from the beginning where opening the servo has changed a setting, which a kill before arming would leave so.
-    After it has acted nothing is sent but torque-off: see `exchange`. Raises DriverError if it cannot be started.
+    The guardian runs from arming until `close`. If opening the servo has changed a setting of the drive, the guardian
+    runs from the opening on, so that the setting is restored even if this process is killed before arming. After the
+    guardian has acted, only the torque-off is sent: see `exchange`. Raises DriverError if the guardian cannot be
+    started.
     """
 
     def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
@@ -70,22 +75,24 @@ class GuardedServo:
 
     @property
     def info(self) -> ServoInfo:
-        """The servo's own."""
+        """The description of the servo."""
         return self._servo.info
 
     @property
     def clock(self) -> Clock:
-        """The servo's, whose waits give signs of life."""
+        """The servo's clock; while it waits, it gives signs of life."""
         return self._clock
 
     def beat(self) -> None:
-        """Give a sign of life while the servo is armed. Raises GuardianFired, GuardianLost."""
+        """Give a sign of life if the servo is armed. Raises GuardianFired, GuardianLost."""
         if self._beating and self._guardian is not None:
             self._guardian.check()
             self._guardian.beat()
 
     def arm(self, limits: Limits) -> None:
-        """Start the guardian, then arm the servo. Raises as the servo does, and DriverError without a guardian."""
+        """Start the guardian, then arm the servo. Raises as the servo does, and DriverError if the guardian cannot be
+        started.
+        """
         if self._guardian is None:
             self._guardian = self._started()
         guardian = self._guardian
@@ -104,7 +111,9 @@ class GuardedServo:
         guardian.beat()
 
     def exchange(self, command: Command) -> Sample:
-        """One round trip. Raises as the servo does, and GuardianFired, GuardianLost before anything is sent."""
+        """Send a command and return the servo's sample. Raises as the servo does; raises GuardianFired or GuardianLost
+        before anything is sent.
+        """
         if self._beating and self._guardian is not None:
             self._guardian.check()
             self._guardian.beat(self._usual)
@@ -115,10 +124,10 @@ class GuardedServo:
         return sample
 
     def fall_silent(self) -> None:
-        """Send no set-point and give no sign of life any more; the guardian acts after `_LONGEST_SILENCE` at the
+        """Send neither set-points nor signs of life any more. The guardian acts after `_LONGEST_SILENCE` s at the
         latest.
 
-        Raises DriverError if the servo cannot do that.
+        Raises DriverError if the servo cannot stop its own messages.
         """
         if not isinstance(self._servo, FallsSilent):
             raise DriverError(f"{self.info.backend}: this adapter cannot leave its drive alone while the torque is on")
@@ -128,7 +137,9 @@ class GuardedServo:
         self._servo.fall_silent()
 
     def let_guardian_act(self) -> None:
-        """Fall silent, and let the guardian switch the torque off. Raises DriverError if it is not running."""
+        """Send nothing more, and let the guardian switch the torque off. Raises DriverError if the guardian is not
+        running.
+        """
         if self._guardian is None:
             raise DriverError("the servo was not armed, so that it has no guardian yet")
         self._guardian.check()

@@ -1,6 +1,6 @@
-"""The memory that the guardian and the guarded process share: five numbers, each written by one of the two.
+"""The memory that the guardian and the guarded process share: four numbers, each written by one of the two.
 
-Times are ns of `now`, which is the same in every process of a computer.
+Times are in ns as `now` returns them; every process of a computer reads the same time.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class Reason(IntEnum):
 
 
 class Words:
-    """The shared memory in the open file `descriptor`, which is closed with it.
+    """The shared memory in the open file `descriptor`. Closing it also closes the file.
 
-    A number is read and written atomically: it lies within one machine word.
+    A number is read and written atomically, because it is one machine word.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -69,7 +69,7 @@ class Words:
 
 
 def new_words() -> Words:
-    """Return fresh shared memory, all zero, in a file without a name."""
+    """Return new shared memory, all zero, in a file without a name."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("hil-guardian")
     else:

@@ -1,1 +1,1 @@
-"""Work spread over processes of this computer or over a Dask cluster, through one narrow executor."""
+"""Distribute work over processes of this computer or over a Dask cluster; both have the same small interface."""

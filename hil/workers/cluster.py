@@ -1,4 +1,4 @@
-"""Tasks on a Dask cluster (extra `cluster`): its scheduler gives the tasks of a worker that dies to another one."""
+"""Tasks on a Dask cluster (extra `cluster`). If a worker dies, the scheduler gives its tasks to another worker."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _LOOK = 1.0  # s between two looks at the workers
 
 @contextmanager
 def dask_executor(address: str, count: int) -> Iterator[Any]:
-    """Yield the executor of the scheduler at `address`, or of one with `count` worker processes for "local".
+    """Yield an executor for the scheduler at `address`; for "local", start a scheduler with `count` worker processes.
 
-    Raises WrongUse if Dask is not installed, no scheduler answers, or it has no workers.
+    Raises WrongUse if Dask is not installed, no scheduler answers, or the scheduler has no workers.
     """
     try:
         distributed: Any = import_module("distributed")
@@ -65,7 +65,7 @@ def _first_line(error: Exception) -> str:
 
 
 def _check_versions(client: Any, address: str) -> None:
-    """Raise WrongUse if a worker has another version of hil, or none: its numbers might be others."""
+    """Raise WrongUse if a worker has another version of hil or none, because its results might differ."""
     own = installed()
     seen = client.run(installed, on_error="return").values()
     others = sorted({one if isinstance(one, str) else "none" for one in seen} - {own})
@@ -78,7 +78,9 @@ def _check_versions(client: Any, address: str) -> None:
 
 @contextmanager
 def _attended(client: Any, address: str) -> Iterator[None]:
-    """Raise WrongUse if no worker remains for long: the scheduler would keep the tasks waiting forever."""
+    """While the block runs, raise WrongUse if no worker remains for long: the scheduler would keep the tasks
+    forever.
+    """
     ended, alone = threading.Event(), threading.Event()
     thread = threading.Thread(target=_attend, args=(client, ended, alone), daemon=True)
     thread.start()
@@ -109,7 +111,7 @@ def _attend(client: Any, ended: threading.Event, alone: threading.Event) -> None
 
 @contextmanager
 def _said(address: str) -> Iterator[None]:
-    """Convert errors of the cluster to a sentence."""
+    """Convert errors of the cluster in the block to a WrongUse with one sentence."""
     from distributed import KilledWorker
 
     try:
@@ -121,7 +123,7 @@ def _said(address: str) -> Iterator[None]:
 
 
 def installed() -> str:
-    """Return the version of hil, "not installed" for a checkout that is run as it is."""
+    """Return the installed version of hil, "not installed" for a checkout."""
     try:
         return version("hil")
     except PackageNotFoundError:

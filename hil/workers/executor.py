@@ -1,4 +1,4 @@
-"""One executor for local processes and for a Dask cluster, and tasks run on it in order."""
+"""One executor for local processes and for a Dask cluster, and a function that runs tasks in order."""
 
 from __future__ import annotations
 
@@ -11,17 +11,20 @@ from hil.workers.processes import processes
 
 
 class Executor(Protocol):
-    """A part of `concurrent.futures.Executor`."""
+    """The interface of an executor: a part of `concurrent.futures.Executor`."""
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Return the future result of a function that another process can import by its name."""
+        """Run a function in another process and return its future result. The function must be importable by its
+        name.
+        """
         ...
 
 
 def executor(count: int, cluster: str | None) -> AbstractContextManager[Executor]:
-    """Return an executor of `count` processes here, or on a Dask cluster: the address of its scheduler, or "local".
+    """Return an executor of `count` local processes; or of a Dask cluster, if `cluster` is the address of a scheduler
+    or "local".
 
-    Raises WrongUse on entry where no such scheduler answers.
+    Raises WrongUse on entry if no scheduler answers at that address.
     """
     if cluster is None:
         return processes(count)
@@ -36,9 +39,10 @@ def results(
     tasks: Sequence[Any],
     on_done: Callable[[int], object] = lambda _done: None,
 ) -> list[Any]:
-    """Return the results of a function of each task, in their order; on_done: is called with how many are done.
+    """Return the results of `function` for each task, in the order of the tasks.
 
-    Raises what a task raises; the others are then cancelled.
+    on: the executor. on_done: called with the number of completed tasks. Raises what a task raises; the remaining tasks
+    are then cancelled.
     """
     futures = [on.submit(function, task) for task in tasks]
     with _cancelled(futures):

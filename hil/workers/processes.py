@@ -1,7 +1,7 @@
-"""Tasks in processes of this computer: one task at a time each, and a new process in place of one that dies.
+"""Run tasks in processes of this computer: each process has one task at a time, and a process that dies is replaced.
 
-Module `concurrent.futures` has such a pool, but one dead process costs it all tasks, and it would run a caller's script
-again in each. A process here gets its tasks on standard input, pickled, and ends with it.
+Module `concurrent.futures` has such a pool. But one dead process ends all its tasks, and each of its processes would
+run a caller's script again. Here a process reads pickled tasks from its standard input, and ends when the input ends.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TRIES = 3  # of a task whose process dies
 
 @contextmanager
 def processes(count: int) -> Iterator[Processes]:
-    """Yield an executor of `count` processes, which have ended when the block has, whatever they were doing."""
+    """Yield an executor of `count` processes. All processes are ended with the block, whatever they are doing."""
     executor = Processes(count)
     try:
         yield executor
@@ -35,7 +35,7 @@ def processes(count: int) -> Iterator[Processes]:
 
 
 class Processes:
-    """An executor of `count` processes, each started by its first task."""
+    """An executor of `count` processes. A process is started when it gets its first task."""
 
     def __init__(self, count: int) -> None:
         self._threads = ThreadPoolExecutor(count)
@@ -45,14 +45,15 @@ class Processes:
             self._idle.put(process)
 
     def submit(self, function: Callable[..., Any], /, *arguments: Any) -> Future[Any]:
-        """Return the result to come of a function, which must be importable by its name, as its arguments be pickled.
+        """Run a function in a process and return its future result. The function must be importable by its name; its
+        arguments must be picklable.
 
-        It raises what the function raises, and WrongUse where every process that tried it died.
+        The future raises what the function raises, and WrongUse if every process that tried the function died.
         """
         return self._threads.submit(self._tried, function, arguments)
 
     def shutdown(self) -> None:
-        """End all processes, also those at work, whose results raise."""
+        """End all processes. The result of a task that is not complete raises an error."""
         self._threads.shutdown(wait=False, cancel_futures=True)
         for process in self._all:
             process.end(for_good=True)
@@ -71,7 +72,7 @@ class Processes:
 
 
 class _Process:
-    """One process, or none yet."""
+    """One worker process, started when it gets its first task."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -79,7 +80,9 @@ class _Process:
         self._ended = False
 
     def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Return what the function returns there, or raise what it raises. Raises EOFError, OSError if it died."""
+        """Run a function in the process; return its result or raise its error. Raises EOFError or OSError if the
+        process died.
+        """
         process = self._process or self._started()
         assert process.stdin is not None  # noqa: S101 - for mypy: both are pipes
         assert process.stdout is not None  # noqa: S101
@@ -94,7 +97,7 @@ class _Process:
         return value
 
     def end(self, *, for_good: bool = False) -> None:
-        """End the process, if there is one. for_good: never start another."""
+        """End the process if it runs. for_good: whether it must never be started again."""
         with self._starting:
             self._ended = self._ended or for_good
             process, self._process = self._process, None
@@ -118,7 +121,7 @@ class _Process:
 
 
 def serve() -> None:
-    """Run tasks from standard input until it ends, each with its answer on standard output."""
+    """Run the tasks that come on standard input until the input ends, and write each result to standard output."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever a task prints goes to standard error
     logging.getLogger("ga").setLevel(logging.ERROR)  # one warning for each process would be the same many times

@@ -1,4 +1,4 @@
-"""Tasks shared between this process and others, which are started only if the work takes long."""
+"""Share tasks between this process and other processes, which are started only if the work takes long."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ def shared(
     here: Callable[[int], Any],
     on_done: Callable[[int], object] = lambda _done: None,
 ) -> list[Any]:
-    """Return the results of a function of each task, in their order.
+    """Return the results of `function` for each task, in the order of the tasks.
 
-    here: does the task of that number in this process. others: processes that do tasks too, started after `delay` s of
-    work, so that they load while this one is at its first tasks. on_done: is called with how many are done. Raises what
-    a task raises, and then no other is begun.
+    here: function that does the task of a given number in this process. others: number of other processes, which start
+    after `delay` s of work, so that they load while this process does the first tasks. on_done: called with the number
+    of completed tasks. Raises what a task raises; then no further task begins.
     """
     waiting, found, over = deque(range(len(tasks))), dict[int, Any](), threading.Event()
     # the processes end first, or a task that has become useless would be waited for
@@ -57,7 +57,7 @@ def shared(
 
 
 def _taken(waiting: deque[int]) -> Iterator[int]:
-    """Yield the first number that nobody has taken yet, until there is none."""
+    """Yield the lowest number of a task that has not begun yet, until all tasks have begun."""
     while waiting:
         try:
             yield waiting.popleft()
