@@ -1,4 +1,6 @@
-"""Emulated drives at the other end of a wire: their replies byte for byte, with the simulator's plant at their motors.
+"""Emulated drives at the other end of a wire. They send the replies of real drives byte for byte; the simulator's plant
+is attached to their motors.
 
-Each is written from its protocol's manual and shares neither code nor tables with the adapter it is used to prove.
+Each emulator is written from the manual of its protocol. It shares neither code nor tables with the driver that it
+tests.
 """

@@ -1,4 +1,4 @@
-"""The messages under way on an emulated link, in order of arrival."""
+"""The messages that are on their way on an emulated link, in the order of their arrival."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ Part = TypeVar("Part")
 
 
 class Arrivals(Generic[Part]):
-    """Parts that wait for their time of arrival; those with the same time keep the order in which they were added."""
+    """A queue of messages, each with its time of arrival. Messages with the same time keep the order in which they were
+    added.
+    """
 
     def __init__(self) -> None:
         self._due: list[tuple[float, int, Part]] = []
@@ -21,16 +23,16 @@ class Arrivals(Generic[Part]):
         return bool(self._due)
 
     def add(self, parts: Iterable[tuple[float, Part]]) -> None:
-        """Add parts, each with the time it arrives, s."""
+        """Add messages, each with its time of arrival, s."""
         for at, part in parts:
             self._count += 1
             heapq.heappush(self._due, (at, self._count, part))
 
     def next(self) -> float:
-        """Return the time of the next arrival, s; infinite if nothing is under way."""
+        """Return the time of the next arrival, s; infinity if no message is on its way."""
         return self._due[0][0] if self._due else math.inf
 
     def until(self, now: float) -> Iterator[Part]:
-        """Yield and remove the parts that have arrived by `now`, s."""
+        """Yield and remove the messages that have arrived by `now`, s."""
         while self.next() <= now:
             yield heapq.heappop(self._due)[2]

@@ -1,4 +1,4 @@
-"""Emulated drives on a CAN bus, a family each, as `hil emulate` serves them."""
+"""The families of emulated drives on a CAN bus, as `hil emulate` serves them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The emulators of `hil emulate`: one line each.
+"""The catalogue of the emulators that `hil emulate` can start, one entry each.
 
-The function behind a line takes the options of the command that it needs, by these names, and returns a `Served`; an
-option it has no parameter for is refused, and one without a default must be given. What it raises is shown to a person.
+An entry names a function that makes the emulator. The function has a parameter for each option of the command that it
+accepts, named as below, and returns a `Served`. An option without a parameter is refused; a parameter without a default
+is required. The text of an exception from the function is shown to the user.
 
     link: Path, or channel: str | Path           --link, --channel: a symlink to a pty; the channel of a CAN bus
     interface: str                               --bus: slcan (a pty at --link), udp_multicast, socketcan ...
@@ -10,7 +11,7 @@ option it has no parameter for is refused, and one without a default must be giv
     parameters: SimParameters | None             --stand: its plant; None: the emulator's own
     log: TorqueLog | None                        --log
     faults: FaultPlan | None                     --faults
-    timing: object | None                        --instant: None, no time passes; else what the line's `timing` makes
+    timing: object | None                        --instant: None, no time passes; else what the entry's `timing` makes
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from typing import Any, Protocol
 
 
 class Served(Protocol):
-    """An emulator that is ready to answer."""
+    """An emulator that is ready to be served."""
 
     def serve(self) -> None:
-        """Answer until `stop` is called, then clean up."""
+        """Serve the emulator until `stop` is called, then release its ports and buses."""
 
     def stop(self) -> None:
         """Make `serve` return; may be called from a signal."""
@@ -40,9 +41,11 @@ class Served(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Emulator:
-    """A line: what one device is called, where it appears, and the function that makes it, as "module:name".
+    """An entry of the catalogue: the device's name, where it appears (pty or CAN bus), and the function that makes it,
+    as "module:name".
 
-    timing: the class whose default is the usual wire, as "module:name", for a function with a parameter `timing`.
+    timing: the class whose default object has the usual durations of the wire, as "module:name"; needed if the function
+    has a parameter `timing`.
     """
 
     noun: str
@@ -51,7 +54,7 @@ class Emulator:
     timing: str = ""
 
     def function(self) -> Callable[..., Served]:
-        """Return the function that makes it."""
+        """Return the function that makes the emulator."""
         made: Callable[..., Served] = _named(self.place)
         return made
 
@@ -82,9 +85,10 @@ EMULATORS: Mapping[str, Emulator] = MappingProxyType(
 
 
 def make(name: str, options: Mapping[str, Any]) -> Served:
-    """Return the emulator `name` with the options that were given, by the names of this module's docstring.
+    """Return the emulator `name`. options: values by the names in this module's docstring.
 
-    Raises ValueError for an unknown name, an option it does not take, one it needs, or a value it refuses.
+    Raises ValueError for an unknown name, an option that the emulator does not accept, a missing option, or a refused
+    value.
     """
     if name not in EMULATORS:
         near = get_close_matches(name, EMULATORS, n=1)
@@ -115,7 +119,7 @@ def make(name: str, options: Mapping[str, Any]) -> Served:
 
 
 def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
-    """Return the parameter that receives an option."""
+    """Return the name of the parameter that receives an option. takes: the parameters of the emulator's function."""
     if option == "bus":
         return "interface"
     other = {"link": "channel", "firmware": "model"}.get(option, option)
@@ -124,11 +128,12 @@ def _parameter(option: str, takes: Mapping[str, inspect.Parameter]) -> str:
 
 @contextmanager
 def waking_in_time() -> Iterator[None]:
-    """Let this thread wake up before others of a busy machine, where the system permits it (root, or `ulimit -r`).
+    """Context manager that makes this thread wake up sooner: higher priority, if the system permits it (root, or
+    `ulimit -r`), and shorter pauses for garbage collection.
 
-    A sleeping process may wait for the time slice of a busy one, many ms. No client is that patient: rustypot's scan
-    waits 5 ms for a reply, as a real servo gives it. The emulators sleep most of the time. No garbage collection looks
-    at what was there before, which takes 28 ms: firmware makes no such pause, nor before its first reply.
+    On a busy computer a sleeping process may wait many ms for its turn. Clients do not wait so long: rustypot's scan
+    waits 5 ms for a reply, which a real servo meets. The emulators sleep most of the time. Garbage collection skips the
+    objects that exist already; otherwise one collection would take 28 ms.
     """
     gc.freeze()
     try:
@@ -156,7 +161,7 @@ def _soon() -> Iterator[None]:
 
 @contextmanager
 def ended_by_signal(served: Served) -> Iterator[None]:
-    """Make Ctrl-C, a kill or a closed terminal stop `served`."""
+    """Context manager: Ctrl-C, a kill or a closed terminal call `served.stop`."""
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
     before = {name: signal.signal(getattr(signal, name), lambda *_: served.stop()) for name in names}
     try:

@@ -1,4 +1,4 @@
-"""The faults in an emulated drive: its encoder, its thermometer, and an output stage that does not open."""
+"""Faults inside an emulated drive: of its encoder, of its thermometer, and of an output stage that stays on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sim_backend.fault_plan import FaultPlan
 
 
 class DriveFaults:
-    """What a drive measures under `plan`, whose times are s since it was powered. Times are on the same clock."""
+    """Applies the faults of `plan` to the measurements of a drive. Times are s since the drive was powered."""
 
     KNOWN: ClassVar[frozenset[str]] = frozenset(
         {"stuck-encoder", "jumping-encoder", "noisy-encoder", "over-temperature", "ignored-off", "broken-watchdog"}
@@ -36,7 +36,7 @@ class DriveFaults:
         return angle
 
     def speed(self, speed: float, t: float) -> float:
-        """Return the speed that the drive computes at `t` s, rad/s: 0 where the encoder is stuck."""
+        """Return the speed that the drive computes at `t` s, rad/s: 0 if the encoder is stuck."""
         if self._none or not self._plan.acting(("stuck-encoder",), t, _beat(t)):
             return speed
         return 0.0
@@ -49,14 +49,16 @@ class DriveFaults:
         return hot[-1].amount if hot else temperature
 
     def stays_on(self, t: float) -> bool:
-        """Return whether the output stage stays closed at `t` s although it should open."""
+        """Return whether a fault keeps the output stage on at `t` s although the drive was switched off."""
         return not self._none and bool(self._plan.acting(("ignored-off",), t, _beat(t)))
 
     def watchdog_broken(self, t: float) -> bool:
-        """Return whether the watchdog does nothing at `t` s, whatever the drive says of it."""
+        """Return whether a fault keeps the watchdog from acting at `t` s, although the drive reports it as working."""
         return not self._none and bool(self._plan.acting(("broken-watchdog",), t, _beat(t)))
 
 
 def _beat(t: float) -> int:
-    """Return the number of the firmware's beat at `t` s, from 1, which is the frame of a drive's fault."""
+    """Return the number of the firmware's 1 ms cycle at `t` s, from 1. A planned fault of a drive counts these cycles
+    as its frames.
+    """
     return 1 + int(t * 1e3)

@@ -1,7 +1,7 @@
-"""Several emulated drives on one CAN bus: who receives a frame, who replies, and when replies arrive. No I/O.
+"""A CAN bus with several emulated drives: who receives a frame, who replies, and when the replies arrive. No I/O.
 
-Two drives with one identifier behave as the bus makes them: they begin to send at the same moment; equal frames are one
-frame, and different ones break at the first bit that differs, every time they try.
+Two drives with the same identifier behave as on a real bus. They begin to send at the same moment; equal frames become
+one frame; different frames are destroyed at the first bit that differs, at every attempt.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from sim_backend.wire.faults import BusOff, CanFault, Reboots, Unplug, WireFault
 
 
 class CanNode(Protocol):
-    """An emulated drive. Times are s on the bus's clock."""
+    """The interface of an emulated drive on a CAN bus. Times are s on the bus's clock."""
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
-        """Return the replies to a frame that ended at `now`; every node receives every frame."""
+        """Return the replies to a frame whose last bit was sent at `now`. Every node receives every frame."""
 
     def due(self) -> float:
-        """Return the time at which it next sends something unasked; infinity where it does not."""
+        """Return the time at which the drive next sends a frame without a request; infinity if it never does."""
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return the frames that it sends unasked at `now`, which is the time that `due` gave."""
+        """Return the frames that the drive sends without a request at `now`, the time that `due` returned."""
 
     def advance(self, now: float) -> None:
-        """Carry it to `now`."""
+        """Simulate the drive up to the time `now`."""
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment."""
+        """Cut the drive's power for a moment at `now`."""
 
 
 class CanDelivery(NamedTuple):
-    """A frame that reaches the host, and when, s."""
+    """A frame that reaches the host, and the time of its arrival, s."""
 
     at: float
     frame: CanFrame
@@ -43,8 +43,8 @@ class CanDelivery(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CanTiming:
-    """The durations on the bus. Bit rates in bit/s; turnaround: s from a request to its answer in the drive; latency: s
-    that the host's adapter holds a frame back.
+    """The durations on the bus. bitrate, data_bitrate: bit/s. turnaround: s from a request to its reply in the drive.
+    latency: s by which the host's adapter delays a received frame.
     """
 
     bitrate: float = 1_000_000.0
@@ -54,24 +54,24 @@ class CanTiming:
 
 
 class CanBus:
-    """The bus with its drives. timing: None where everything happens at once."""
+    """A CAN bus with its drives. timing: the durations; None: nothing takes time."""
 
     def __init__(self, nodes: Iterable[CanNode], *, timing: CanTiming | None = None) -> None:
         self.nodes: list[CanNode] = list(nodes)
         self.unplugged = False
         self.off = False
-        """Whether the host's controller has left the bus."""
+        """Whether the host's CAN controller is bus-off."""
         self._timing = timing
         self._free = 0.0
         self._last = 0.0
         self.faults = WireFaults[CanFault]()
 
     def due(self) -> float:
-        """Return the time at which a drive next sends something unasked, s."""
+        """Return the time at which a drive next sends a frame without a request, s."""
         return min((node.due() for node in self.nodes), default=math.inf)
 
     def advance(self, now: float) -> list[CanDelivery]:
-        """Carry every drive to `now` and return what they sent unasked meanwhile."""
+        """Simulate every drive up to `now` and return the frames that the drives sent without a request meanwhile."""
         out: list[CanDelivery] = []
         while self.due() <= now:
             at = self.due()
@@ -83,7 +83,9 @@ class CanBus:
         return out
 
     def receive(self, frame: CanFrame, now: float) -> list[CanDelivery]:
-        """Return what the drives send unasked until `frame`, sent by the host at `now`, arrives, and in reply to it."""
+        """Deliver `frame`, which the host sends at `now`. Return the drives' replies, and the frames that they sent
+        without a request before.
+        """
         arrival = self._occupy(frame, now)
         out = self.advance(arrival)
         if self.faults.loses_request(arrival) or self.off:
@@ -98,7 +100,9 @@ class CanBus:
         return sorted(out, key=lambda delivery: delivery.at)
 
     def _together(self, frames: list[CanFrame], now: float) -> list[CanDelivery]:
-        """Frames that drives begin to send at the same moment: the lower identifier goes first."""
+        """Return what arrives when drives begin to send `frames` at the same moment: the frame with the lowest
+        identifier goes first.
+        """
         out: list[CanDelivery] = []
         for ident in sorted({frame.ident for frame in frames}):
             same = {frame for frame in frames if frame.ident == ident}
@@ -110,7 +114,7 @@ class CanBus:
         return out
 
     def _answered(self, frame: CanFrame, now: float) -> list[CanDelivery]:
-        """Return a reply as it arrives at the host, with the faults that were injected."""
+        """Return what arrives at the host for a reply that is sent at `now`, with the injected faults."""
         at = self._occupy(frame, now)
         match self.faults.interrupts_reply(now):
             case Unplug():
@@ -129,7 +133,9 @@ class CanBus:
         return self._delivered(self._occupy(frame, now) + self._latency, frame)
 
     def _delivered(self, at: float, frame: CanFrame) -> list[CanDelivery]:
-        """Return the frame at the host. None overtakes another in the adapter: a delayed one delays all behind it."""
+        """Return the frame as it arrives at the host at the time `at`. In the adapter no frame overtakes another, so a
+        delayed frame delays all later ones.
+        """
         if self.unplugged or self.off:
             return []
         self._last = max(self._last, at)
@@ -140,7 +146,7 @@ class CanBus:
         return self._timing.latency if self._timing is not None else 0.0
 
     def _occupy(self, frame: CanFrame, now: float) -> float:
-        """Return the time at which a frame that may begin at `now` has ended."""
+        """Return the time at which a frame has ended that wants to begin at `now` and waits until the bus is free."""
         if self._timing is None:
             return now
         begin = max(now, self._free)

@@ -1,6 +1,7 @@
-"""Frames on a CAN bus as an emulated node sees them, and how long each takes on the wire.
+"""Frames on a CAN bus as an emulated drive receives and sends them, and their durations on the wire.
 
-Source: ISO 11898-1 for the lengths. Error frames are as Linux hands them to a program (include/uapi/linux/can/error.h).
+Sources: ISO 11898-1 for the lengths; include/uapi/linux/can/error.h for error frames, which have the format that Linux
+hands to a program.
 """
 
 from __future__ import annotations
@@ -9,14 +10,16 @@ from dataclasses import dataclass
 
 PROTOCOL_ERROR = 0x008
 BUS_OFF = 0x040
-"""Classes of error frames; they stand where the identifier would."""
+"""Classes of error frames, as Linux writes them in the place of the identifier."""
 
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """One frame. extended: 29 bits of identifier. remote: asks for data. fast: CAN FD's second bit rate is used."""
+    """One frame. extended: whether the identifier has 29 bits. remote: whether it asks for data. fast: whether the
+    second bit rate of CAN FD is used.
+    """
 
     ident: int
     data: bytes = b""
@@ -33,13 +36,15 @@ def error_frame(kind: int) -> CanFrame:
 
 
 def padded(data: bytes, filler: int = 0x50) -> bytes:
-    """`data` brought up to the next length that CAN FD has."""
+    """Return `data` padded with the byte `filler` to the next length that CAN FD has."""
     length = next(size for size in FD_LENGTHS if size >= len(data))
     return data + bytes([filler]) * (length - len(data))
 
 
 def duration(frame: CanFrame, bitrate: float, data_bitrate: float) -> float:
-    """s on the wire, with as many stuff bits as there can be, up to the first bit of the next frame."""
+    """Return the s that a frame takes on the wire, with the largest possible number of stuff bits, up to the first bit
+    of the next frame.
+    """
     size = 0 if frame.remote else len(frame.data)
     if not frame.fd:
         stuffed = (54 if frame.extended else 34) + 8 * size

@@ -1,4 +1,4 @@
-"""The demand law of an emulated CAN drive, and the joint that its motor turns."""
+"""The law by which an emulated CAN drive computes its torque, and the joint that its motor turns."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 
 def scaled_joint(scale: float, torque_constant: float, resistance: float, *, friction: bool = True) -> SimParameters:
-    """Return the paper's joint with every torque `scale` times as large, driven without a gear.
+    """Return the paper's joint with every torque multiplied by `scale`, driven without a gear.
 
-    The motion is the paper's, so the same chirp suits it; stiffness, damping, inertias and friction are all scaled.
-    torque_constant N m/A, resistance Ohm: the motor's. friction: whether the cable has dry friction.
+    Stiffness, damping, inertias and friction are all scaled, so the motion is that of the paper's joint and the same
+    chirp suits it. torque_constant: N m/A. resistance: Ohm, of the motor's winding. friction: whether the cable has dry
+    friction.
     """
     paper, fixture = CouplingParameters(), FixtureParameters()
     return SimParameters(
@@ -53,10 +54,11 @@ def scaled_joint(scale: float, torque_constant: float, resistance: float, *, fri
 
 @dataclass(frozen=True, slots=True)
 class Impedance:
-    """torque = feedforward + kp (position - measured) + kd (velocity - measured), at most `ceiling` in magnitude.
+    """The demand law torque = feedforward + kp (position - measured) + kd (velocity - measured), with a magnitude of at
+    most `ceiling`.
 
-    N m, N m/rad, N m s/rad, rad, rad/s, N m. fastest: rad/s, the limit of the speed that position error and velocity
-    ask for together, as in a cascade; it needs a kd.
+    feedforward, ceiling: N m. kp: N m/rad. kd: N m s/rad. position: rad. velocity: rad/s. fastest: rad/s, limit of the
+    speed that position error and velocity command together, as in a cascade; it needs a kd.
     """
 
     feedforward: float = 0.0
@@ -68,11 +70,11 @@ class Impedance:
     fastest: float = math.inf
 
     def beats(self, enabled: bool) -> bool:
-        """Return whether the torque depends on what is measured."""
+        """Return whether the torque depends on measurements, so that it must be computed again and again."""
         return enabled and bool(self.kp or self.kd)
 
     def demand(self, motor: PlantMotor[Any]) -> float:
-        """Return the torque for the motor's position and velocity, N m."""
+        """Return the torque at the motor's present position and velocity, N m."""
         if math.isinf(self.fastest):
             wanted = (
                 self.feedforward
@@ -86,7 +88,7 @@ class Impedance:
         return max(-self.ceiling, min(self.ceiling, wanted))
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
-        """Return the law of no torque."""
+        """Return a law without torque."""
         return Impedance()
 
 

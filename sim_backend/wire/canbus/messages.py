@@ -1,4 +1,4 @@
-"""Emulated frames as messages of python-can."""
+"""Convert frames of the emulated bus to messages of python-can and back."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sim_backend.wire.canbus.frames import CanFrame
 
 
 def from_message(message: can.Message) -> CanFrame:
-    """Return the frame of a message that a client sent."""
+    """Convert a message that a client sent to a frame."""
     return CanFrame(
         message.arbitration_id,
         bytes(message.data),
@@ -20,7 +20,7 @@ def from_message(message: can.Message) -> CanFrame:
 
 
 def to_message(frame: CanFrame) -> can.Message:
-    """Return the message as which a client receives `frame`."""
+    """Convert `frame` to the message that a client receives."""
     return can.Message(
         arbitration_id=frame.ident,
         data=frame.data,

@@ -1,5 +1,5 @@
-"""Emulated drives on a real bus of python-can: in this process (`virtual`), across processes (`udp_multicast`), or on
-an adapter.
+"""Connect emulated drives to a real bus of python-can: in this process (`virtual`), across processes (`udp_multicast`),
+or on an adapter.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from sim_backend.wire.uart.pty_line import PtyLine
 
 _STEP, _LONGEST_STEP = 0.02, 0.25
-"""s by which the bus is advanced while no client sends: at first, and after some time of silence."""
+"""s by which the bus is simulated at a time while no client sends: at first, and after a longer silence."""
 
 
 class CanServer:
-    """Serves `bus` on the python-can bus `channel` of `interface`, in a thread as long as the `with` lasts.
+    """Connects `bus` to the python-can bus `channel` of `interface`. A thread serves it inside the `with` block.
 
-    lock: held while the bus is at work; whoever looks at it takes it. Raises can.CanError where that cannot be opened.
+    lock: a lock held while the bus is simulated; whoever reads the bus's state must take it. Raises can.CanError if the
+    python-can bus cannot be opened.
     """
 
     def __init__(self, interface: str, channel: str, bus: CanBus) -> None:
@@ -65,7 +66,7 @@ class CanServer:
         self._stopping.set()
 
     def serve(self) -> None:
-        """Answer from this thread until `stop`, then clean up."""
+        """Serve in this thread until `stop` is called, then close the python-can bus."""
         try:
             self._run()
         finally:
@@ -94,16 +95,16 @@ def _opened(interface: str, channel: str) -> can.BusABC:
 
 
 class CanDrive(CanNode, Watched, Protocol):
-    """A drive on the bus whose torque can be logged."""
+    """An emulated drive on a CAN bus whose torque can be logged."""
 
 
 @dataclass(frozen=True, slots=True)
 class CanFamily:
-    """Emulated drives of one family on a CAN bus, each with a plant of its own: call it to make a bus of them.
+    """A family of emulated drives on a CAN bus. Calling the object makes a bus of such drives, each with its own plant.
 
-    noun: what `known` lists, models or firmwares. default: the one that is made unasked. first: the id of a single
-    drive. make: makes a drive from its model, its id, its plant (None: the paper's joint, scaled to its motor) and the
-    time of the monotonic clock at which it is powered, s.
+    noun: the kind of names in `known`: model or firmware. default: the name used if none is given. first: the id of a
+    single drive. make: a function that makes a drive from its model, its id, its plant (None: the paper's joint, scaled
+    to the motor) and the time at which it is powered, s on the monotonic clock.
     """
 
     noun: str
@@ -124,12 +125,13 @@ class CanFamily:
         log: TorqueLog | None = None,
         faults: FaultPlan | None = None,
     ) -> PtyLine | CanServer:
-        """Return a bus of drives, to be served: `with served:` from a thread, `served.serve()` from this one.
+        """Return a bus of drives. Serve it with `with served:` in a thread, or with `served.serve()` in this thread.
 
-        interface: "slcan" makes `channel` a symlink to a pty that speaks slcan; any other is one of python-can, with
-        its channel. timing: None answers at once. log: of the torque of each. faults: that happen. Raises ValueError
-        for a model that is not `known` or an id that cannot be, FileExistsError if `channel` is a file, can.CanError
-        where the interface cannot be opened.
+        channel, interface: for the interface "slcan", `channel` becomes a symlink to a pty that speaks slcan; any other
+        interface and channel are python-can's. timing: durations on the bus; None: nothing takes time. log: where the
+        torque of each drive is logged. faults: the faults that will happen. Raises ValueError for a model that is not
+        in `known` or an impossible id, FileExistsError if `channel` is a file, can.CanError if the interface cannot be
+        opened.
         """
         model = model or self.default
         if model not in self.known:

@@ -1,8 +1,8 @@
-"""A serial CAN adapter of the LAWICEL kind on a pty, with an emulated bus behind it.
+"""An emulated serial CAN adapter of the LAWICEL kind on a pty, connected to an emulated bus.
 
-Source: the LAWICEL CANUSB manual for commands and answers; the CANable 2 firmware's additions for CAN FD (Yn, d, D, b,
-B). Ended by CR: Sn bit rate, Yn data bit rate, O L C open and close, V N version and serial number, F status flags, t T
-data frame, r R remote frame. Answers: CR done (z CR or Z CR for a frame taken), BEL refused.
+Source: the LAWICEL CANUSB manual for commands and replies; the CANable 2 firmware's additions for CAN FD (Yn, d, D, b,
+B). A command ends with CR: Sn bit rate, Yn data bit rate, O L C open and close, V N version and serial number, F status
+flags, t T data frame, r R remote frame. Replies: CR means done (z CR or Z CR for an accepted frame), BEL means refused.
 """
 
 from __future__ import annotations
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 
 OK, BELL = b"\r", b"\a"
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000, 83_300)
-"""bit/s of S0 to S9 (S9: CANable)."""
+"""bit/s of the commands S0 to S9 (S9 is CANable's)."""
 LONGEST = 160
 
 
 class SlcanAdapter:
-    """An adapter as text in and text out. bitrate: bit/s of the bus; None: whatever the client sets is right."""
+    """The adapter, as received text and replied text. bitrate: bit/s of the bus; None: the adapter accepts every bit
+    rate that the client sets.
+    """
 
     def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:
         self._bus = bus
@@ -35,15 +37,17 @@ class SlcanAdapter:
 
     @property
     def unplugged(self) -> bool:
-        """Return whether it has been pulled out."""
+        """Return whether the adapter has been unplugged."""
         return self._bus.unplugged
 
     def due(self) -> float:
-        """Return when a drive next sends something unasked, s."""
+        """Return the time at which a drive next sends a frame without a request, s."""
         return self._bus.due()
 
     def receive(self, data: bytes, now: float, _baudrate: int | None = None) -> list[tuple[float, bytes]]:
-        """Return the text of unasked frames up to `now` and the answers to the client's `data`, with times, s."""
+        """Process the client's `data`. Return the replies, and the frames that drives sent without a request up to
+        `now`, each as text with its time, s.
+        """
         out = self._texts(self._bus.advance(now))
         self._text += data
         while OK[0] in self._text:
@@ -57,7 +61,7 @@ class SlcanAdapter:
         return out
 
     def advance(self, now: float) -> None:
-        """Carry the bus to `now`; what its drives send unasked is lost."""
+        """Simulate the bus up to `now`. The frames that its drives send without a request are lost."""
         self._bus.advance(now)
 
     def _command(self, line: bytes, now: float) -> list[tuple[float, bytes]]:
@@ -94,17 +98,19 @@ class SlcanAdapter:
         return [(now, taken), *self._texts(self._bus.receive(frame, now))]
 
     def _texts(self, deliveries: list[CanDelivery]) -> list[tuple[float, bytes]]:
-        """Return frames as text; an adapter of this kind reports errors only when it is asked for its flags."""
+        """Return received frames as text. Error frames are left out: this kind of adapter reports errors only in reply
+        to F.
+        """
         return [(at, _text(frame)) for at, frame in deliveries if self._open and not frame.error]
 
 
 def slcan_line(link: Path, bus: CanBus, *, bitrate: int | None = None) -> PtyLine:
-    """Return a line that serves `bus` through an adapter at `link`, a symlink to a pty."""
+    """Return a line that serves `bus` through an emulated adapter at `link`, a symlink to a pty."""
     return PtyLine(link, SlcanAdapter(bus, bitrate=bitrate), any_baudrate=True)
 
 
 def _parsed(line: bytes) -> CanFrame | None:
-    """The frame of a transmit command; None if it is none."""
+    """Return the frame of a transmit command; None if the line is no valid transmit command."""
     letter = line[:1].decode("ascii")
     extended, remote, fd = letter in "TRDB", letter in "rR", letter in "dDbB"
     digits = 8 if extended else 3

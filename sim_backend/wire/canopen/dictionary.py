@@ -24,13 +24,13 @@ NO_OBJECT, NO_SUBINDEX = 0x06020000, 0x06090011
 NOT_MAPPABLE, PDO_TOO_LONG = 0x06040041, 0x06040042
 LENGTH, RANGE = 0x06070010, 0x06090030
 BAD_SIGNATURE, WRONG_STATE = 0x08000020, 0x08000022
-"""Abort codes of SDO transfers."""
+"""Abort codes of SDO transfers, from CiA 301."""
 
 Value = int | str
 
 
 class Abort(Exception):
-    """A transfer that the device refuses."""
+    """Error: the device refuses an SDO transfer."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"0x{code:08X}")
@@ -39,7 +39,7 @@ class Abort(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One sub-index. access: ro, rw, wo or const. mappable: into a PDO."""
+    """One sub-index of an object. access: ro, rw, wo or const. mappable: whether it may be mapped into a PDO."""
 
     index: int
     sub: int
@@ -53,9 +53,10 @@ class Entry:
 
 
 class Dictionary:
-    """The objects of one device.
+    """The objects of one device with their values.
 
-    read_hooks: what makes a value when it is read. write_hooks: called after a value was written, and may refuse it.
+    read_hooks: functions that compute the value of an object when it is read. write_hooks: functions that are called
+    after an object was written, and that may refuse the value.
     """
 
     def __init__(self, entries: Iterable[Entry], groups: Mapping[int, str]) -> None:
@@ -67,24 +68,24 @@ class Dictionary:
         self._indices = {index for index, _ in self.entries}
 
     def entry(self, index: int, sub: int) -> Entry:
-        """The entry. Raises Abort."""
+        """Return the entry of a sub-index. Raises Abort if it does not exist."""
         if (index, sub) not in self.entries:
             raise Abort(NO_SUBINDEX if index in self._indices else NO_OBJECT)
         return self.entries[index, sub]
 
     def get(self, index: int, sub: int = 0) -> int:
-        """A number as it is now."""
+        """Return the present value of a number."""
         hook = self.read_hooks.get((index, sub))
         value = hook() if hook is not None else self.values[index, sub]
         assert isinstance(value, int)  # noqa: S101 - strings are read through `encoded`
         return value
 
     def put(self, index: int, sub: int, value: Value) -> None:
-        """Set a value as the device itself does."""
+        """Set a value as the device's own firmware does, without access rules."""
         self.values[index, sub] = value
 
     def encoded(self, index: int, sub: int) -> bytes:
-        """A value as it goes over the wire. Raises Abort."""
+        """Return a value as the bytes that are sent. Raises Abort."""
         entry = self.entry(index, sub)
         if entry.access == "wo":
             raise Abort(WRITE_ONLY)
@@ -94,7 +95,7 @@ class Dictionary:
         return (self.get(index, sub) & ((1 << 8 * size) - 1)).to_bytes(size, "little")
 
     def write(self, index: int, sub: int, data: bytes) -> None:
-        """Write a value that came over the wire. Raises Abort."""
+        """Write a value that a client sent. Raises Abort."""
         entry = self.entry(index, sub)
         if entry.access in {"ro", "const"}:
             raise Abort(READ_ONLY)
@@ -110,7 +111,7 @@ class Dictionary:
 
 
 def eds(dictionary: Dictionary, *, vendor: int, product: int, revision: int, name: str) -> str:
-    """The device's electronic data sheet, the text of an .eds file."""
+    """Return the device's electronic data sheet: the text of an .eds file."""
     od = ObjectDictionary()  # type: ignore[no-untyped-call]  # canopen is typed in parts
     records = {index: ODRecord(title, index) for index, title in dictionary.groups.items()}
     for (index, _), entry in sorted(dictionary.entries.items()):

@@ -1,7 +1,7 @@
-"""The communication of an emulated CANopen device: NMT, heartbeat and its consumers, SYNC, PDOs, EMCY, SDO.
+"""The communication of an emulated CANopen device: NMT, heartbeat producer and consumer, SYNC, PDOs, EMCY and SDO.
 
-Source: CiA 301. What it leaves open: a boot takes `BOOT` s. A PDO of type 254 or 255 is sent when what it carries has
-changed and something gave occasion to look: a frame from the bus, or what the device does by itself.
+Source: CiA 301. Two things that CiA 301 leaves open are chosen here. A boot takes `BOOT` s. A PDO of type 254 or 255 is
+sent when its contents have changed; this is checked when a frame is received and when the device sends by itself.
 """
 
 from __future__ import annotations
@@ -36,22 +36,23 @@ _RPDO, _RPDO_MAP, _TPDO, _TPDO_MAP = 0x1400, 0x1600, 0x1800, 0x1A00
 
 
 class Application(Protocol):
-    """The application of a device: everything that is not communication."""
+    """The interface of a device's application: everything in the device except its communication."""
 
     def receive(self, index: int, sub: int, value: int, now: float) -> None:
-        """Handle a mapped object that a PDO has written."""
+        """Handle an object that a PDO has written."""
 
     def connection_lost(self, code: int, now: float) -> None:
-        """Handle a missing heartbeat (its EMCY code), or an NMT stop or reset of the node (0)."""
+        """Handle the loss of a heartbeat (code: its EMCY code), or an NMT stop or communication reset (code: 0)."""
 
     def restarted(self, now: float) -> None:
-        """Handle a reset of the node by NMT."""
+        """Handle an NMT reset of the whole node."""
 
 
 class CanopenNode:
-    """The communication of node `ident`. Times are s on the bus's clock; it is up and pre-operational at `now`.
+    """The communication of the node `ident`. Times are s on the bus's clock. At `now` the node is powered and
+    pre-operational.
 
-    saved: what "store parameters" keeps, and a reset brings back.
+    saved: the values that "store parameters" stored; a reset restores them.
     """
 
     def __init__(self, ident: int, dictionary: Dictionary, application: Application, now: float) -> None:
@@ -77,11 +78,11 @@ class CanopenNode:
     # -- time -------------------------------------------------------------------------------------------------------
 
     def due(self) -> float:
-        """Return the time at which it next has to send or to act, s."""
+        """Return the time at which the node must next send or act without a request, s."""
         return min(self._ready if self._pending else math.inf, self._beat, self._lapse())
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Boot-up, heartbeat and EMCY that are due."""
+        """Return the boot-up message, heartbeats and EMCYs that are to be sent at `now`."""
         self.advance(now)
         if now < self._ready:
             return []
@@ -95,7 +96,7 @@ class CanopenNode:
         return out + self._changed()
 
     def advance(self, now: float) -> None:
-        """Notice heartbeats that stay away, and a period of our own that was set."""
+        """Detect the loss of a watched heartbeat, and apply a newly written period of the node's own heartbeat."""
         if self._lapse() <= now:
             self._heard.clear()
             self._application.connection_lost(HEARTBEAT_LOST, now)
@@ -107,11 +108,11 @@ class CanopenNode:
 
     @property
     def watches(self) -> bool:
-        """Return whether it waits for another node's next heartbeat."""
+        """Return whether the node watches the heartbeat of another node."""
         return math.isfinite(self._lapse())
 
     def _lapse(self) -> float:
-        """Return the time at which the first of the received heartbeats is overdue, s."""
+        """Return the time at which the first watched heartbeat will be overdue, s."""
         return min((self._heard[n] + t for n, t in self._consumed() if n in self._heard), default=math.inf)
 
     def _consumed(self) -> Iterator[tuple[int, float]]:
@@ -142,13 +143,16 @@ class CanopenNode:
         return self._changed()
 
     def emergency(self, code: int) -> None:
-        """Send an error code; 0: there is none any more."""
+        """Send an EMCY with an error code; code 0 means that no error is left."""
         if self.state in {OPERATIONAL, PRE_OPERATIONAL}:
             data = struct.pack("<HB5x", code, self.objects.get(0x1001))
             self._pending.append(CanFrame(0x080 + self.ident, data))
 
     def reset(self, now: float, *, application: bool) -> None:
-        """NMT reset, or a loss of power: what was stored comes back."""
+        """Reset the node, by NMT or by a loss of power: the stored values are restored.
+
+        application: whether the whole node is reset, and not only its communication.
+        """
         for (index, sub), value in self.saved.items():
             if (application or 0x1000 <= index < 0x2000) and index != 0x1003:
                 self.objects.values[index, sub] = value
@@ -214,7 +218,7 @@ class CanopenNode:
         return out
 
     def _changed(self) -> list[CanFrame]:
-        """PDOs of an event that happened."""
+        """Return the event-driven PDOs whose contents have changed."""
         if self.state != OPERATIONAL:
             return []
         out = []
@@ -234,7 +238,9 @@ class CanopenNode:
         return b"".join(self.objects.encoded(i, s) for i, s, _ in self._mapped(_TPDO_MAP + number))
 
     def _mapped(self, mapping: int) -> Iterator[tuple[int, int, int]]:
-        """Index, sub-index and bytes of what a PDO carries."""
+        """Yield index, sub-index and number of bytes of each object that a PDO carries. mapping: index of the PDO's
+        mapping object.
+        """
         for place in range(1, self.objects.get(mapping, 0) + 1):
             value = self.objects.get(mapping, place)
             yield value >> 16, value >> 8 & 0xFF, (value & 0xFF) // 8

@@ -1,6 +1,7 @@
-"""The SDO server of an emulated CANopen device: requests of 8 bytes in, replies of 8 bytes out.
+"""The SDO server of an emulated CANopen device: it answers requests of 8 bytes with replies of 8 bytes.
 
-Source: CiA 301, 7.2.4. Expedited and segmented transfers; block transfers are refused, as any unknown command is.
+Source: CiA 301, 7.2.4. Expedited and segmented transfers are supported. Block transfers are refused, like any unknown
+command.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _HEAD = struct.Struct("<BHB")
 
 
 class SdoServer:
-    """One server with at most one transfer under way."""
+    """The SDO server of one device, with at most one transfer in progress."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._dictionary = dictionary
@@ -33,7 +34,7 @@ class SdoServer:
         }
 
     def answer(self, request: bytes) -> bytes | None:
-        """The reply; None if there is none."""
+        """Return the reply to a request; None if there is no reply."""
         if len(request) != 8:
             return None
         command = request[0] >> 5

@@ -1,10 +1,11 @@
-"""One CiA 402 drive on a CAN bus: an EPOS4, an EPOS2, or a plain CiA 402 drive, with the plant behind its motor.
+"""An emulated CiA 402 drive on a CAN bus: an EPOS4, an EPOS2, or a plain CiA 402 drive. The plant is attached to its
+motor.
 
-Source: CiA 402-2 for states and objects, the maxon firmware specifications for units. What they leave open, or what is
-chosen here: the speed limit in torque modes takes away the torque that would go beyond it; a heartbeat that stays
-away switches the power stage off whatever 0x6007 is (and latches 0x8130); in an active quick stop the drive brakes;
-averages are not averaged. Only the torque mode has its objects; it, and the mode of delivery, in which no current
-flows here, are the ones that can be set.
+Sources: CiA 402-2 for states and objects, the maxon firmware specifications for units. The following is not in these
+sources, or is simplified here. In torque modes, no torque is applied that would accelerate the motor beyond the speed
+limit. A lost heartbeat switches the power stage off whatever 0x6007 says (and latches 0x8130). In an active quick stop
+the drive brakes. Objects for averages hold present values. Two modes can be set: the torque mode, whose objects exist,
+and the mode as delivered, in which no current flows.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ OVERTEMPERATURE = 0x4210
 OVERCURRENT = 0x2310
 FOLLOWING_ERROR = 0x8611
 _OFFSET_MEASURED = 0x100
-"""Bit of an EPOS2's statusword: the offset of its current sensors has been measured."""
+"""Bit of an EPOS2's statusword: the offset of the current sensors has been measured."""
 _DELIVERED = 1
-"""0x6060 as delivered: profile position."""
+"""Value of 0x6060 in a new drive: profile position mode."""
 _SAVE, _LOAD = 0x65766173, 0x64616F6C
 _REGISTER = {0x2: 0x02, 0x3: 0x04, 0x4: 0x08, 0x8: 0x10}
-"""Bits of the error register by the first digit of the error code; bit 0 is always set."""
+"""Bits of the error register by the first hex digit of the error code. Bit 0 is always set too."""
 
 
 class Cia402Device:
-    """Drive `model` (of `MODELS`) with node id `ident`. Times are s on the bus's clock."""
+    """An emulated drive `model` (of `MODELS`) with node id `ident`. Times are s on the bus's clock."""
 
     def __init__(
         self,
@@ -70,30 +71,30 @@ class Cia402Device:
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of the watch on the host's heartbeat."""
+        """The state of the drive's watch on the host's heartbeat."""
         if self.machine.state is Cia402State.FAULT and self.objects.get(0x1003, 1) == HEARTBEAT_LOST:
             return "tripped"
         return "on" if self.node.watches else "off"
 
     @property
     def eds(self) -> str:
-        """The electronic data sheet."""
+        """The text of the drive's electronic data sheet."""
         model = self.model
         return eds(self.objects, vendor=model.vendor, product=model.product, revision=model.revision, name=model.name)
 
     # -- the node's side of the bus ---------------------------------------------------------------------------------
 
     def due(self) -> float:
-        """Return the time at which it next sends or changes its state, s."""
+        """Return the time at which the drive next sends a frame without a request or changes its state, s."""
         return min(self.node.due(), self.machine.due())
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return the frames that it sends unasked."""
+        """Return the frames that the drive sends without a request at `now`."""
         self.advance(now)
         return self.node.unasked(now)
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now`."""
+        """Simulate the motor up to `now`."""
         self.machine.advance(now)
         self._control()
         self.motor.run(now - self._powered)
@@ -110,12 +111,12 @@ class Cia402Device:
         return self.node.handle(frame, now)
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment: RAM, position and faults are gone."""
+        """Cut the drive's power for a moment: the contents of the RAM, the position and faults are lost."""
         self.restarted(now)
         self.node.reset(now, application=True)
 
     def fail(self, code: int) -> None:
-        """Latch a fault, and send it in an EMCY."""
+        """Latch the fault `code` and send it in an EMCY."""
         self.machine.fail()
         self.motor.disable()
         count = self.objects.get(0x1003)
@@ -131,7 +132,7 @@ class Cia402Device:
     # -- canopen.node.Application -----------------------------------------------------------------------------------
 
     def receive(self, index: int, _sub: int, value: int, now: float) -> None:
-        """Obey a mapped object that came in a PDO."""
+        """Act on an object that a PDO has written."""
         if index == 0x6040:
             self._command(value, now)
         elif index == 0x6060:
@@ -139,7 +140,7 @@ class Cia402Device:
         self._control()
 
     def connection_lost(self, code: int, _now: float) -> None:
-        """Fail with the EMCY `code`, or switch off where there is none."""
+        """Latch the fault of the EMCY `code`; for code 0, only switch the torque off."""
         if self.motor.watchdog_broken:
             return
         live = self.machine.state in {
@@ -154,7 +155,7 @@ class Cia402Device:
             self._control()
 
     def restarted(self, now: float) -> None:
-        """Begin anew."""
+        """Start the drive anew: torque off, state machine at its start, position zero, no faults."""
         self.motor.run(now - self._powered)
         self.motor.disable()
         self.machine = Cia402Machine()
@@ -177,7 +178,7 @@ class Cia402Device:
         return (0x605A, 0) not in self.objects.entries or self.objects.get(0x605A) >= 5
 
     def _control(self) -> None:
-        """Set the motor's torque from state, set-point and limits."""
+        """Set the motor's demand law from state, set-point and limits."""
         state = self.machine.state
         if state is Cia402State.QUICK_STOP_ACTIVE:
             self.motor.follow(Impedance(kd=1e-3, ceiling=self._ceiling()))
@@ -198,24 +199,26 @@ class Cia402Device:
         self.motor.follow(Impedance(feedforward=max(-ceiling, min(ceiling, wanted))))
 
     def _wanted(self) -> float:
-        """N m of the set-point."""
+        """Return the torque that the set-point commands, N m; 0 in another mode."""
         if self.objects.get(0x6060) != self.model.mode:
             return 0.0
         value = self.objects.get(*self.model.target)
         return value * (1e-3 * TORQUE_CONSTANT if self.kind == "epos2" else 1e-3 * self._rated())
 
     def _ceiling(self) -> float:
-        """N m that current or torque limit allow."""
+        """Return the torque that the current limit or torque limit allows, N m."""
         if self.model.current_limit is None:
             return self.objects.get(0x6072) * 1e-3 * self._rated()
         return self.objects.get(*self.model.current_limit) * 1e-3 * self._constant()
 
     def _constant(self) -> float:
-        """N m/A that the drive believes; what the motor makes of a current is `TORQUE_CONSTANT`."""
+        """Return the torque constant that is set in the drive, N m/A. The motor's true constant is
+        `TORQUE_CONSTANT`.
+        """
         return self.objects.get(0x3001, 5) * 1e-6 if self.kind == "epos4" else TORQUE_CONSTANT
 
     def _rated(self) -> float:
-        """N m of 0x6076."""
+        """Return the rated torque of object 0x6076, N m."""
         return self._rated_torque() * (1e-6 if self.kind == "epos4" else 1e-3)
 
     def _rated_torque(self) -> int:
@@ -224,7 +227,7 @@ class Cia402Device:
         return round(self.objects.get(0x3001, 1) * self.objects.get(0x3001, 5) * 1e-3)
 
     def _speed_unit(self) -> float:
-        """rad/s of one count of velocity."""
+        """Return the rad/s in one count of velocity."""
         prefix = 0
         if (0x60A9, 0) in self.objects.entries:
             prefix = self.objects.get(0x60A9) >> 24
@@ -232,7 +235,7 @@ class Cia402Device:
         return float(TURN / 60.0 * 10.0**prefix)
 
     def _hook(self) -> None:
-        """Connect the objects that show or change the drive's state."""
+        """Connect each object that shows or changes the drive's state to its function."""
         counts = 4 * self.objects.get(0x2210, 1) if self.kind == "epos2" else 0
         counts = counts or self.objects.get(*((0x3000, 5) if self.kind == "epos4" else (0x608F, 1)))
         motor = self.motor
@@ -261,10 +264,12 @@ class Cia402Device:
         }
 
     def _statusword(self) -> int:
-        """Return 0x6041. An EPOS2 has bits of its own: Firmware Specification, April 2010, 8.1.1 and Table 101.
+        """Return the statusword, 0x6041. An EPOS2 has additional bits: Firmware Specification, April 2010, 8.1.1 and
+        Table 101.
 
-        Each of its states is x0xx xxx1 x... ...., with bit 4 from the power stage on: 0x140, 0x121, 0x123, 0x137, 0x117
-        and 0x108 (compared with the states that the clients EPOS_Canopen and libEPOS recognise by that table).
+        The states of an EPOS2 have the pattern x0xx xxx1 x... ...., where bit 4 is set from "power stage on": 0x140,
+        0x121, 0x123, 0x137, 0x117 and 0x108 (compared with the states that the clients EPOS_Canopen and libEPOS
+        recognise by that table).
         """
         word = self.machine.statusword
         if self.kind != "epos2":
@@ -294,7 +299,7 @@ class Cia402Device:
         self.node.saved = dict(self.objects.values)
 
     def _restored(self, _index: int, _sub: int, value: int) -> None:
-        """Restore the delivered values; they take effect at the next reset."""
+        """Restore the values as delivered. They take effect at the next reset."""
         if value != _LOAD:
             raise Abort(BAD_SIGNATURE)
         delivered = {key: entry.default for key, entry in self.objects.entries.items()}
@@ -303,5 +308,7 @@ class Cia402Device:
 
 
 def _mode_bit(mode: int) -> int:
-    """Return the bit of 0x6502 for a mode: from 0 on those of CiA 402, from 16 on the manufacturer's, which are < 0."""
+    """Return the bit of 0x6502 for a mode: bits 0 to 15 are the modes of CiA 402, bits from 16 on the manufacturer's
+    modes, which are negative.
+    """
     return 1 << (mode - 1 if mode > 0 else 15 - mode)

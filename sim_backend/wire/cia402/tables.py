@@ -9,14 +9,16 @@ from drivers.tables import table
 from sim_backend.wire.canopen.dictionary import I8, I16, I32, STRING, U8, U16, U32, Entry
 
 TORQUE_CONSTANT = 0.02
-"""N m/A of the motor behind it."""
+"""N m/A of the emulated motor."""
 SCALE = 2.0
-"""The paper's joint with torques as large as suit that motor."""
+"""Factor on the torques of the paper's joint, so that they suit the emulated motor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cia402Model:
-    """One drive. name, vendor, product, revision: its identity. speed: of its speed limit's object."""
+    """One kind of drive. name, vendor, product, revision: its identity. speed: index and sub-index of its speed
+    limit.
+    """
 
     name: str
     vendor: int
@@ -40,7 +42,7 @@ MODELS: Mapping[str, Cia402Model] = {
 _TABLE = table("cia402", "sim_backend.wire")
 _TYPES = {"I8": I8, "I16": I16, "I32": I32, "STRING": STRING, "U8": U8, "U16": U16, "U32": U32}
 _RECORDS: Mapping[int, tuple[str, int]] = {int(index, 0): row for index, row in _TABLE["records"].items()}
-"""Objects with sub-indices: the name, and the highest sub-index."""
+"""Objects with sub-indices: the name of each, and its highest sub-index."""
 
 GROUPS: Mapping[int, str] = {
     0x1003: "Error history",
@@ -53,7 +55,7 @@ GROUPS: Mapping[int, str] = {
 
 
 def entries(model: str, ident: int) -> Iterator[Entry]:
-    """Every entry of `model`'s dictionary, as node `ident` is delivered."""
+    """Yield every entry of the object dictionary of `model`, with the values of a new drive with node id `ident`."""
     rows = [*_TABLE["objects"]["common"], *_TABLE["objects"][model]]
     for index, sub, name, kind, *more in rows:
         yield Entry(index, sub, name, _TYPES[kind], *more)
@@ -65,7 +67,7 @@ def entries(model: str, ident: int) -> Iterator[Entry]:
 
 
 def _pdos(ident: int) -> Iterator[Entry]:
-    """Four PDOs each way; the first of each is on, the others are not."""
+    """Yield the entries of four PDOs in each direction. Only the first PDO of each direction is enabled."""
     received = [[0x60400010], [0x60400010, 0x60600008], [0x60400010], [0x60400010]]
     sent = [[0x60410010], [0x60410010, 0x60610008], [0x60410010, 0x60640020], [0x60410010, 0x606C0020]]
     for first, mapping, cob, mapped in ((0x1400, 0x1600, 0x200, received), (0x1800, 0x1A00, 0x180, sent)):

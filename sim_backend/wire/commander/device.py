@@ -1,10 +1,9 @@
-"""An emulated SimpleFOC board: Commander's parser, character for character, over the emulated motor.
+"""An emulated SimpleFOC board: Commander's parser, character for character, with the emulated motor. No I/O.
 
 Source: Arduino-FOC, src/communication/Commander.cpp, commands.h, src/BLDCMotor.cpp and base_classes/FOCMotor.cpp of
-library 2.3.5 and 2.4.0, and docs.simplefoc.com. Gains, filters and modulation are kept and printed and have no effect;
-in the open-loop modes the motor carries no current; measuring and tuning (`F`) fail. The program calls
-`motor.monitor()` in its loop, with nothing printed until a downsample is set, as the library's examples do. No I/O:
-characters in, text out.
+library 2.3.5 and 2.4.0, and docs.simplefoc.com. Gains, filters and modulation are stored and printed but have no
+effect. In the open-loop modes the motor carries no current. Measuring and tuning (`F`) fail. The board's program calls
+`motor.monitor()` in its loop, as the library's examples do; nothing is printed until a downsample is set.
 """
 
 from __future__ import annotations
@@ -26,7 +25,9 @@ from sim_backend.wire.loadcell.joint_torque import JointTorque
 from sim_backend.wire.plant_motor import PlantMotor
 
 BUFFER = 20
-"""Characters of a command; a longer one is thrown away at that length, and what follows is read as another."""
+"""Most characters of a command. A longer command is thrown away at this length, and the rest is read as a new
+command.
+"""
 
 _MOTION = ("torque", "vel", "angle", "vel open", "angle open", "angle nocascade", "custom")
 _TORQUE = ("volt", "dc curr", "foc curr", "est. curr")
@@ -38,7 +39,7 @@ _PLAIN = {"R": "R phase: ", "I": "L phase: ", "K": "Motor KV: "}
 _OFFSETS = {"M": "offset: ", "E": "el. offset: "}
 _SHOWN = 7
 _VOLTAGE = 0
-"""The torque type in which a limit given beside a target is one of voltage."""
+"""The torque type (T) for which a limit given with a target is a voltage limit."""
 
 
 def number(text: str) -> float:
@@ -49,9 +50,10 @@ def number(text: str) -> float:
 
 
 class CommanderDevice:
-    """The board after its start, with the plant of `parameters` at its motor.
+    """The emulated board after its start, with the plant of `parameters` at its motor.
 
-    letter: under which its program added the motor. version: of the library. joint: the torque at the joint's side.
+    letter: the letter under which its program added the motor. version: version of the library. joint: record of the
+    torque at the joint.
     """
 
     def __init__(self, parameters: SimParameters, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:
@@ -61,16 +63,16 @@ class CommanderDevice:
         self.motor = PlantMotor(parameters, MotionControl(parameters, clamps=self.modern), self.joint.note)
         self.letter = letter
         self.program_downsample = 0
-        """The downsample of the monitor that the program sets when it begins."""
+        """The downsample of the monitor that the board's program sets at its start."""
         self.restart()
 
     @property
     def motion(self) -> MotionControl:
-        """The settings and loops of the motor."""
+        """The settings and control loops of the motor."""
         return self.motor.law
 
     def restart(self) -> None:
-        """Set everything as the program does when it begins: the motor is enabled, its target zero."""
+        """Set everything as the board's program does at its start: the motor is enabled, its target is zero."""
         self.printer = Printer()
         self.torque_type = 0
         self.watched = "1100011"
@@ -88,14 +90,14 @@ class CommanderDevice:
         self.motor.enable()
 
     def monitored(self) -> str:
-        """Return a line of `motor.monitor()`: the variables that are watched, currents in mA."""
+        """Return a line of `motor.monitor()`: the selected variables, with currents in mA."""
         target, vq, vd, iq, id_, velocity, angle = self._state()
         shown = (target, vq, vd, iq * 1e3, id_ * 1e3, velocity, angle)
         words = [f"{v:.{self._monitor_decimals}f}" for v, on in zip(shown, self.watched, strict=True) if on == "1"]
         return "\t".join(words) + "\r\n" if words else ""
 
     def type(self, character: str) -> str:
-        """Return the text that it prints after one character."""
+        """Receive one character. Return the text that the board prints in response."""
         self._typed += character
         if self.printer.ends(character):
             command, self._typed = self._typed, ""
@@ -105,11 +107,11 @@ class CommanderDevice:
         return self.printer.taken()
 
     def forget(self) -> None:
-        """Lose the command that is being typed."""
+        """Discard the command that is being received."""
         self._typed = ""
 
     def _run(self, command: str) -> None:
-        """Execute a command, which includes the character that ends it."""
+        """Execute a command. command: its characters, with the one that ends it."""
         head, rest, out = command[0], command[1:], self.printer
         if head == "?":
             out.machine("?")
@@ -139,7 +141,7 @@ class CommanderDevice:
             out.line("on!")
 
     def _command(self, text: str) -> None:
-        """Execute what follows the motor's letter."""
+        """Execute a command to the motor. text: the characters after the motor's letter."""
         out = self.printer
         if text[0].isdigit() or text[0] in "+-" or out.ends(text[0]):
             self._target(text)
@@ -188,7 +190,7 @@ class CommanderDevice:
         out.line(motion.target)
 
     def _motion(self, head: str, sub: str, text: str) -> None:
-        """Motion type (C), torque type (T), or whether the motor is enabled (E)."""
+        """Set or print the motion type (C), the torque type (T), or whether the motor is enabled (E)."""
         motor, out = self.motor, self.printer
         asked = out.ends(text[2 if sub == "D" and self.modern else 1])
         value = number(text[2:] if "A" <= sub <= "Z" else text[1:])
@@ -216,7 +218,7 @@ class CommanderDevice:
             out.line(_TORQUE[self.torque_type])
 
     def _change_motion(self, mode: int) -> None:
-        """Since library 2.4 a target does not outlive the kind of motion that it was given for."""
+        """Change the motion type. Since library 2.4 this sets the target to zero."""
         motion = self.motion
         turning, angular = {VELOCITY_MODE, 3}, {ANGLE_MODE, 4, ANGLE_NOCASCADE_MODE}
         same = mode == motion.mode or {mode, motion.mode} <= turning or {mode, motion.mode} <= angular
@@ -337,7 +339,9 @@ class CommanderDevice:
         )
 
     def _kept_number(self, said: str | None, name: str, value: float | None) -> None:
-        """Keep a number that has no effect, and print it; `said`: what comes before it, None if there is none."""
+        """Store the number in `value`, which has no effect on the motor, and print it. said: text to print before it,
+        None for no text.
+        """
         if said is None:
             self.printer.error()
             return

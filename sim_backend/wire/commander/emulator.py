@@ -1,4 +1,4 @@
-"""Emulated SimpleFOC boards on a pty: what `hil emulate commander` serves."""
+"""Emulated SimpleFOC boards on a pty, as `hil emulate commander` serves them."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from sim_backend.wire.uart.pty_line import PtyLine
 MODELS = ("motor", "motor+loadcell")
 FIRMWARES = ("2.3", "2.4", "2.4-watchdog")
 WATCHDOG = 0.1
-"""s of silence after which the program with a watchdog (docs/serial.md) disables the motor."""
+"""s of silence after which the board's program with a watchdog (docs/serial.md) disables the motor."""
 _BOOT = ("Monitor enabled!", "Init", "Enable driver.", "Align sensor.", "sensor dir: CW", "PP check: OK!", "Ready.")
 _SEND_BUFFER = 64
-"""Bytes that the board's serial port holds for sending."""
+"""Number of bytes that the send buffer of the board's serial port holds."""
 _UNREAD = 1.0
-"""s after which lines that nobody has read are lost."""
+"""s after which lines that no client has read are lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommanderTiming:
-    """Durations, s. usb_latency: for which the adapter holds bytes back. loop: of the program, which reads
-    commands between two turns of the current loop. boot: from a reset to the first command that it receives.
+    """Durations, s. usb_latency: how long the adapter holds bytes back. loop: period of the board's program, which
+    reads commands once in each loop. boot: time from a reset until the board receives commands.
     """
 
     usb_latency: float = 1e-3
@@ -42,9 +42,10 @@ class CommanderTiming:
 
 
 class CommanderBoard:
-    """A board as bytes with times. timing: None, where everything but a boot happens at once.
+    """An emulated board on a serial line: bytes in, bytes with times out. Times are s on the caller's clock.
 
-    watchdog: s; 0: none, as in the library's examples. Times are those of whoever calls.
+    timing: durations; None: only a boot takes time. watchdog: s of silence after which the program disables the motor;
+    0: never, as in the library's examples.
     """
 
     def __init__(
@@ -67,25 +68,25 @@ class CommanderBoard:
         self._awake = now
         self._free = now
         self.faults = WireFaults[SerialFault]()
-        """Each command is a request, each printed line a reply."""
+        """The injected faults. Each command counts as a request, each printed line as a reply."""
         self._garbled: list[tuple[str, str]] = []
         self._streamed = now
 
     @property
     def motor(self) -> PlantMotor[MotionControl]:
-        """The motor with its settings."""
+        """The motor with its demand law."""
         return self.device.motor
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of the watchdog in its program."""
+        """The state of the watchdog in the board's program."""
         if not self.watchdog:
             return "none"
         self._tripped = self._tripped and not self.motor.enabled
         return "tripped" if self._tripped else "on" if self.motor.enabled else "off"
 
     def garble(self, sent: str, received: str) -> None:
-        """Let the board once receive `received` where `sent` was sent."""
+        """Replace the text `sent` by `received` the next time that a client sends it: a transmission error."""
         self._garbled.append((sent, received))
 
     def mean(self, begin: float, end: float) -> float:
@@ -94,13 +95,13 @@ class CommanderBoard:
         return self.device.joint.mean(begin - self.made, end - self.made)
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment."""
+        """Cut the board's power for a moment."""
         self.advance(now)
         self.motor.disable()
         self._awake = now + (self._timing or CommanderTiming()).boot
 
     def advance(self, now: float) -> None:
-        """Carry it to `now`, s."""
+        """Simulate the board up to `now`, s."""
         if self._awake > self.made and now >= self._awake:
             self.motor.run(self._awake - self.made)
             self.device.restart()
@@ -113,16 +114,20 @@ class CommanderBoard:
         self.motor.run(now - self.made)
 
     def _lapsed(self, now: float) -> bool:
-        """Return whether its program's watchdog acts now."""
+        """Return whether the watchdog of the board's program trips before `now`."""
         late = bool(self.watchdog and self.motor.enabled and now > self._heard + self.watchdog)
         return late and not self.motor.watchdog_broken
 
     def due(self) -> float:
-        """Return when its program next prints unasked, s."""
+        """Return the time at which the program next prints a line of `motor.monitor()`, s."""
         return self._streamed + self._loop * self.device.downsample if self._streams else math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
-        """Return the lines printed after `data`, whose first byte is sent at `now`, and when each has arrived."""
+        """Receive `data`, whose first byte is sent at `now`. Return the printed lines, each with its time of arrival,
+        s.
+
+        baudrate: bit/s that the client has set; None: the right one.
+        """
         out: list[tuple[float, bytes]] = []
         self.advance(now)
         if baudrate not in {None, self._baudrate}:
@@ -145,7 +150,9 @@ class CommanderBoard:
         return out
 
     def _monitored(self, now: float) -> list[tuple[float, bytes]]:
-        """Return the lines that the program printed by itself since then; it waits where its buffer is full."""
+        """Return the lines that `motor.monitor()` printed since the last call. The program waits while its send buffer
+        is full.
+        """
         out: list[tuple[float, bytes]] = []
         self._streamed = max(self._streamed, now - _UNREAD)
         while self._streams and self.due() <= now:
@@ -164,7 +171,7 @@ class CommanderBoard:
 
     @property
     def _loop(self) -> float:
-        """s of the program's loop, which calls `motor.monitor()` once."""
+        """The s that one loop of the board's program takes; each loop calls `motor.monitor()` once."""
         return (self._timing or CommanderTiming()).loop
 
     def _obey(self, end: str, at: float) -> str:
@@ -198,7 +205,10 @@ def new_board(
     timing: CommanderTiming | None = None,
     now: float = 0.0,
 ) -> CommanderBoard:
-    """A board with the plant of `parameters` (None: the paper's joint behind its gear). firmware: see FIRMWARES."""
+    """Return an emulated board with the plant of `parameters` (None: the paper's joint behind its gear).
+
+    firmware: one of FIRMWARES. timing: durations; None: only a boot takes time. now: s, when the board is powered.
+    """
     version = (2, 3) if firmware == "2.3" else (2, 4)
     watchdog = WATCHDOG if firmware.endswith("watchdog") else 0.0
     device = CommanderDevice(parameters or SimParameters(), version=version)
@@ -216,12 +226,13 @@ def serve(
     log: TorqueLog | None = None,
     faults: FaultPlan | None = None,
 ) -> PtyLine | Pair:
-    """Return a board at `link`, a symlink to a pty.
+    """Return an emulated board at `link`, a symlink to a pty.
 
-    model: "motor", or "motor+loadcell" for a torque cell at its joint on a second pty, named as `link` with ".cell"
-    behind it. firmware: the library's version, "2.4-watchdog" for a program that disables the motor after 0.1 s of
-    silence. timing: None answers at once. log: of its torque. faults: that happen. Raises ValueError for a model, a
-    firmware or a baud rate that cannot be, FileExistsError if `link` is a file.
+    model: "motor", or "motor+loadcell" with a torque cell at its joint, on a second pty whose name is `link` with
+    ".cell" appended. firmware: the library's version; "2.4-watchdog" is a program that disables the motor after 0.1 s
+    of silence. timing: durations; None: nothing but a boot takes time. log: where the torque is logged. faults: the
+    faults that will happen. Raises ValueError for an impossible model, firmware or baud rate, FileExistsError if `link`
+    is a file.
     """
     if model not in MODELS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(MODELS)}")

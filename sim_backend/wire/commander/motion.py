@@ -1,7 +1,7 @@
-"""The demand law of an emulated SimpleFOC board: the library's motion modes over the plant.
+"""The demand law of an emulated SimpleFOC board: the torque in each of the library's motion modes.
 
-The library's velocity and angle gains are its user's own; here the loops are closed with gains from the inertia, at
-the bandwidth below. The current loop is the plant's.
+The library has no fixed gains for velocity and angle; its user sets them. Here the gains follow from the motor's
+inertia and the bandwidth `BANDWIDTH`. The current loop is that of the plant.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from sim_backend.sensors import counted
 from sim_backend.wire.plant_motor import BEAT, PlantMotor
 
 TORQUE_MODE, VELOCITY_MODE, ANGLE_MODE, ANGLE_NOCASCADE_MODE = 0, 1, 2, 5
-"""The library's motion types that drive the motor here; the others are open-loop or the user's own."""
+"""The library's motion types in which the emulated motor is driven. The remaining types are open-loop or
+user-defined.
+"""
 BANDWIDTH = 2.0 * math.pi * 10.0
-"""rad/s of the angle loop."""
+"""Bandwidth of the angle loop, rad/s."""
 
 
 class MotionControl:
-    """The settings of one motor and its loops. target: A, rad/s or rad, by the mode. Limits: V, A, rad/s.
+    """The settings and control loops of one motor. target: A, rad/s or rad, depending on the mode. Limits: V, A, rad/s.
 
-    clamps: whether the current limit bounds a target in torque mode, as since library 2.4.
+    clamps: whether the current limit also limits a target in torque mode, as since library 2.4.
     """
 
     def __init__(self, parameters: SimParameters, *, clamps: bool = True) -> None:
@@ -40,31 +42,33 @@ class MotionControl:
         self._last_current = 0.0
 
     def angle(self, motor: PlantMotor[Any]) -> float:
-        """Return the angle in counts of the sensor, rad."""
+        """Return the angle rounded to counts of the sensor, rad."""
         return counted(motor.position, self._angle_lsb)
 
     def current(self, motor: PlantMotor[Any]) -> float:
-        """Return Iq as the board measures it in counts, A; while the motor is disabled the last is repeated."""
+        """Return the measured current Iq, rounded to counts, A. While the motor is disabled, the last value is
+        returned.
+        """
         if motor.enabled:
             self._last_current = counted(motor.torque / self._constant, self._current_lsb)
         return self._last_current
 
     def voltage(self, motor: PlantMotor[Any]) -> float:
-        """Return Vq, V."""
+        """Return the voltage Vq, V."""
         return self.current(motor) * self._resistance + self._constant * motor.velocity
 
     def beats(self, enabled: bool) -> bool:  # noqa: ARG002 - a torque cell may watch the joint of a disabled motor too
-        """Return that time always passes in beats."""
+        """Return True: the law is always evaluated at the fixed period `BEAT`."""
         return True
 
     def at_rest(self, motor: PlantMotor[Any]) -> Self:
-        """Empty the integral and keep the current that was measured last; the settings stay."""
+        """Reset the integral of the loops; keep the settings and the last measured current."""
         self.current(motor)
         self._integral = 0.0
         return self
 
     def demand(self, motor: PlantMotor[Any]) -> float:
-        """Return the torque demanded in this beat, N m."""
+        """Return the torque that is demanded until the next evaluation, N m."""
         volts = self.voltage_limit - self._constant * abs(motor.velocity)
         ceiling = max(0.0, volts / self._resistance)
         if self._clamps or self.mode != TORQUE_MODE:
