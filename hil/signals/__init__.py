@@ -1,1 +1,1 @@
-"""From the rows of a recording to torque, deflection and rate, and a check of their quality."""
+"""Compute torque, deflection and rate from the rows of a recording, and check their quality."""

@@ -1,4 +1,4 @@
-"""Faults of an angle's readings: a far zero, jumps by a turn, single wrong readings, a frozen angle."""
+"""Detect faults of an angle's readings: a far zero, jumps by a turn, single wrong readings, a frozen angle."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
-    """Return the angle (n,) rad without jumps by the range of its encoder, and how many jumps there were.
+    """Return the angle (n,), rad, without jumps by the range of its encoder, and the number of jumps removed.
 
     torque (n,): N m. If all steps are small after whole turns are subtracted, the angle passes the end of a turn,
-    however often. Otherwise a step counts as a jump only if all steps larger than a tenth of the largest are equal. The
-    jump is certain only for a turn or half a turn, or if several jumps lead from one end of the readings to the other
-    while the torque is continuous: behind a gear, the encoder's range can have any size.
+    however often. Otherwise a step is a jump only if all steps larger than a tenth of the largest are equal. The jump
+    is certain only for a turn or half a turn, or if several jumps lead from one end of the readings to the other while
+    the torque is continuous: behind a gear, the encoder's range can have any size.
     """
     steps = np.diff(angle)
     whole = np.round(steps / _TURN)
@@ -48,7 +48,9 @@ def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
 
 
 def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
-    """Return the range, rad, that these jumps (n,) among the steps (n,) of an angle have in common; 0 if none."""
+    """Return the range of the encoder, rad, that explains all these jumps (n,) among the steps (n,) of an angle; 0 if
+    none does.
+    """
     if not jumps.any() or np.count_nonzero(jumps) > _RARE * len(steps):
         return 0.0
     # the joint moved on during the jump, as it did before
@@ -60,8 +62,9 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
 
 
 def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
-    """Return whether jumps of that size, rad, are the encoder's: from one end of its range to the other, without a jump
-    of the torque.
+    """Return whether jumps of that size, rad, are the encoder's.
+
+    Such jumps lead from one end of the encoder's range to the other, while the torque does not jump.
     """
     usual = float(np.abs(np.diff(angle)[~jumps]).max(initial=0.0))
     low, high = float(angle.min()), float(angle.max())
@@ -78,10 +81,10 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
 
 
 def spikes(angle: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of an angle, rad, are single wrong ones, far from the cubic through two on each side.
+    """Return which readings (n,) of an angle, rad, are single wrong readings.
 
-    In a sharp motion the neighbours' readings are far from their cubics too, but not in the pattern that one wrong
-    reading causes.
+    A single wrong reading is far from the cubic through the two readings on each side. In a sharp motion the
+    neighbours' readings are far from their cubics too, but not in the pattern that a single wrong reading causes.
     """
     wrong = np.zeros(len(angle), dtype=bool)
     if len(angle) < 2 * len(_CUBIC):
@@ -100,7 +103,9 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
 
 
 def far_zero(angle: Array) -> float:
-    """Return the middle of an angle's range, rad, if its zero is more than 1.5 times the range away, else 0."""
+    """Return the middle of an angle's range, rad, if the angle's zero is farther away than 1.5 times the range, else
+    0.
+    """
     low, high = float(angle.min()), float(angle.max())
     middle = 0.5 * (low + high)
     return middle if abs(middle) > _FAR * (high - low) else 0.0

@@ -1,4 +1,4 @@
-"""The rows of a recording that identification uses, and why the others are left out."""
+"""Select the rows of a recording that identification uses, and record why the others are left out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.signals.stamps import spread_stamps, within
 Array = NDArray[np.float64]
 
 FEWEST: Final = 16
-"""The number of samples below which nothing is concluded."""
+"""The smallest number of samples from which anything is concluded."""
 
 _LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 _EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed
@@ -36,13 +36,14 @@ _STILL_ANGLE, _STILL_TORQUE = 1e-9, 1e-15  # rad and N m peak to peak, below whi
 
 @dataclass(frozen=True, slots=True)
 class Defects:
-    """The rows of a recording that are not used, and whether many shared a time stamp and were spread.
+    """The numbers of rows of a recording that are not used, by reason.
 
-    lost: replies that never came. not_numbers: rows with a NaN. near_gaps: rows whose window contains a gap; those at
-    the two ends of the recording are not counted. frozen: rows with a constant angle while the torque changed. clipped:
-    rows with the torque, or a neighbouring one, at the end of the sensor's range while the joint moved on. spikes: rows
-    in which only the angle is wrong. wraps: jumps of the angle by a turn, which were removed. jerked: rows beside a
-    jump of the acceleration, whose rate or acceleration is unknown.
+    lost: rows without a reply. not_numbers: rows with a NaN. near_gaps: rows whose window contains a gap, without those
+    at the two ends of the recording. coarse_clock: whether many rows shared a time stamp and were spread. frozen: rows
+    with a constant angle while the torque changed. clipped: rows with the torque, or a neighbouring one, at the end of
+    the sensor's range while the joint moved on. spikes: rows in which only the angle is wrong. wraps: jumps of the
+    angle by a turn, which were removed. jerked: rows beside a jump of the acceleration, whose rate or acceleration is
+    unknown.
     """
 
     lost: int = 0
@@ -71,11 +72,12 @@ class Defects:
 
 @dataclass(frozen=True, eq=False)
 class UsableRows:
-    """The rows (n,) with a reply and only finite numbers: their index in the file, and the raw readings.
+    """The n rows with a reply and only finite numbers: their index in the file, and the raw readings.
 
-    torque_time: when the torque was read, s, NaN if unknown; equal to `time` unless another device read it. The indices
-    of the rows left out: lost, without a reply; not_numbers, with a NaN; frozen and spikes, with a constant or wrong
-    angle. wraps: jumps of the angle that were removed. clipped (n,): whether the torque was at the end of its range.
+    torque_time: when the torque was read, s, NaN if unknown; equal to `time` unless another device read the torque.
+    lost: indices of the rows without a reply. not_numbers: indices of the rows with a NaN. frozen, spikes: indices of
+    the rows with a constant or a wrong angle. wraps: the number of jumps of the angle that were removed. clipped (n,):
+    whether the torque was at the end of its range.
     """
 
     row: NDArray[np.int64]
@@ -94,13 +96,16 @@ class UsableRows:
 
     @cached_property
     def stamps(self) -> tuple[Array, bool]:
-        """Return the stamps (n,), s, with repeats and bursts spread evenly, and whether there are many of these."""
+        """Return the time stamps (n,), s, with repeated stamps and bursts spread evenly, and whether many stamps were
+        spread.
+        """
         return spread_stamps(self.time)
 
     def readings(self, channel: Channel, kind: Kind | None) -> Readings:
-        """Return which values of a channel are readings: all, or for a slower sensor its own, according to its kind.
+        """Return the readings of a channel: all its values, or for a slower sensor only the sensor's own readings.
 
-        The result is kept, because windows and signals both need it, and the pace of a slow sensor takes time to find.
+        kind: how the channel shows a slower sensor. The result is stored, because windows and signals both need it, and
+        to find the pace of a slow sensor takes time.
         """
         if (channel, kind) not in self._read:
             (time, _), values = self.stamps, self.torque if channel == "torque" else self.dtheta
@@ -109,8 +114,8 @@ class UsableRows:
         return self._read[channel, kind]
 
     def defects(self, rows: tuple[int, int]) -> Defects:
-        """Return how many rows within `rows` of the file are not used; rows that only a window rejects are not
-        counted.
+        """Return how many rows within `rows` of the file are not used. Rows that only a window rejects are not
+        included.
         """
         places = {name: getattr(self, name) for name in _LEFT_OUT} | {"clipped": self.row[self.clipped]}
         counts = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
@@ -120,7 +125,7 @@ class UsableRows:
 def usable_rows(
     recording: Recording, start: int, stop: int, torque_channel: str, *, rate: bool, own_time: bool
 ) -> UsableRows:
-    """Return the usable rows from `start` to `stop` with one of the torque channels.
+    """Return the usable rows from `start` to `stop`, with the torque of the channel `torque_channel`.
 
     rate: whether the recorded rate is read. own_time: whether another device read the torque, with its own stamps.
     """
@@ -160,10 +165,11 @@ def usable_rows(
 
 
 def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of a torque, N m, are at the end of the sensor's range, and their neighbours.
+    """Return which readings (n,) of a torque, N m, are at the end of the sensor's range, or beside such a reading.
 
-    dtheta (n,): rad. At such an end many readings are equal to the last digit, again and again, while the deflection
-    changes by as much as several levels of the torque. A joint that rests or reverses there does not move.
+    dtheta (n,): deflection, rad. At the end of the range many readings are equal to the last digit, again and again,
+    while the deflection changes by as much as several levels of the torque. A joint that rests or reverses there does
+    not move.
     """
     found, spread = np.zeros(len(torque), dtype=bool), float(np.var(dtheta)) if len(torque) else 0.0
     slope = abs(float(np.mean((dtheta - dtheta.mean()) * torque))) / spread if spread else 0.0
@@ -176,8 +182,10 @@ def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
 
 
 def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
-    """Return whether the deflection, rad, at the highest torques (n,), N m, spans several torque levels. slope: N
-    m/rad.
+    """Return whether the joint moves on at the end of the sensor's range.
+
+    torque (n,): the highest torques, N m. dtheta (n,): their deflections, rad, which must span several torque levels.
+    slope: torque over deflection, N m/rad.
     """
     levels, counts = np.unique(torque, return_counts=True)
     below, step = counts[-_BELOW:-1], np.diff(levels[-_BELOW:])
@@ -188,9 +196,9 @@ def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
 
 
 def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Array, where: str = "") -> None:
-    """Raise Untrustworthy if the usable rows (n,) of a recording, SI, are too few, unordered or without any change.
+    """Raise Untrustworthy if the usable rows (n,) of a recording, SI, are too few, out of order or constant.
 
-    where: which rows these are, for the message.
+    where: a description of these rows for the message.
     """
     name = recording.path
     if len(time) < FEWEST:
@@ -217,7 +225,10 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
 
 
 def refuse_without_rows(recording: Recording, left: int, defects: Defects) -> None:
-    """Raise Untrustworthy if no row of a recording is usable, with the most frequent reason."""
+    """Raise Untrustworthy if a recording has no usable row. The message states the most frequent reason.
+
+    left: the number of usable rows. defects: the reasons for the others.
+    """
     if left:
         return
     softer = again("drive with less torque", "--amplitude", imported=recording.imported)

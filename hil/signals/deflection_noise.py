@@ -1,7 +1,8 @@
 """Predict, before anything is identified, whether noise or counts of the deflection would change Kc and Bc.
 
-Noise in a regressor makes its parameter too small, by the noise's share of its power. A delay by a fraction of a sample
-averages the noise of the readings, so a skew is biased towards the delay that averages most, and Bc with it.
+Noise in a regressor makes its parameter too small, by the ratio of the noise's power to the regressor's. A delay by a
+fraction of a sample averages the noise of the readings, so a skew is biased towards the delay that averages most, and
+so is Bc.
 """
 
 from __future__ import annotations
@@ -15,9 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FEW_COUNTS: Final = 40.0
-"""Counts of the encoder over the motion, peak to peak, below which rounding follows the motion and is not white
-noise.
-"""
+"""The encoder counts of the motion, peak to peak, below which rounding follows the motion and is not white noise."""
 
 _MATTERS: Final = 5e-4  # of Kc or Bc
 _CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
@@ -42,8 +41,8 @@ class Read:
 
 
 def smallest_step(dtheta: Array) -> float:
-    """Return the smallest difference between two readings (n,), rad, that is more than floating-point rounding; 0 if
-    none.
+    """Return the smallest difference, rad, between two readings (n,) that is larger than floating-point rounding; 0 if
+    there is none.
     """
     steps = np.diff(np.unique(dtheta))
     steps = steps[steps > 1e-9 * float(np.ptp(dtheta))]
@@ -51,19 +50,19 @@ def smallest_step(dtheta: Array) -> float:
 
 
 def own_noise(noise: float, values: Array, other: Array) -> float:
-    """Return the noise of a reading, limited to the part that the other reading does not share.
+    """Return the standard deviation of the noise of a channel, limited to the part that another channel does not share.
 
     noise: standard deviation of white noise in values (n,), in their unit; it may include fast motion. other (n,): the
-    other reading of the same rows. Motion is in both readings, noise of one is not.
+    readings of the other channel in the same rows. Both channels contain the motion, and each has noise of its own.
     """
     most = _unshared(values, other)
     return most if most < _CLEARLY * noise else noise
 
 
 def _unshared(values: Array, other: Array) -> float:
-    """Return the standard deviation of white noise in values (n,) that the other reading (n,) does not share.
+    """Return the standard deviation of white noise in values (n,) that another channel `other` (n,) does not share.
 
-    It is taken from the upper half of the spectrum; infinite for too few rows.
+    It is computed from the upper half of the spectrum; infinite for too few rows.
     """
     count = len(values) // _HALF - 1
     if count < _ENOUGH:
@@ -78,14 +77,14 @@ def _unshared(values: Array, other: Array) -> float:
 
 
 def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
-    """Return whether noise of the deflection, rad, and of its rate, rad/s, would change Kc or Bc by 0.05 %."""
+    """Return whether noise of the deflection, rad, and noise of its rate, rad/s, would change Kc or Bc by 0.05 %."""
     of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (read.dtheta, read.rate))
     attenuated = max(noise**2 / of_deflection, rate_noise**2 / of_rate)
     return bool(attenuated > _MATTERS or _drawn(read, noise) > _MATTERS)
 
 
 def _drawn(read: Read, noise: float) -> float:
-    """Return the relative change of Bc by the biased skew."""
+    """Return the relative change of Bc that a skew biased by noise causes."""
     columns = np.stack([np.ones_like(read.rate), read.dtheta, read.rate, read.acceleration], axis=1)
     _, stiffness, damping, _inertia = np.linalg.lstsq(columns, read.torque, rcond=None)[0].tolist()
     # what of the torque's slope no Kc and Bc can make

@@ -1,4 +1,4 @@
-"""The summary of a recording: its rate, gaps, saturation, excited band and noise, and whether it can be used."""
+"""Summarise a recording: its rate, gaps, saturation, excited band and noise, and whether it can be used."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _LONG = 500_000  # rows of a recording whose signals take more than a moment
 class Inspection:
     """The summary of a recording.
 
-    lateness: of the set-points, s: median, 99 % and largest, NaN if not stored. missed: skipped ticks. rate: Hz,
-    median. jitter: s; 99 % of the intervals are within it of the median. longest_gap: s. deflection, rad, and torque, N
-    m: peak to peak. deflection_lsb: the smallest step seen, rad. torque_noise: standard deviation of the torque about a
-    local polynomial, N m. snr: the torque's variance over that noise's, dB. band: Hz. rate_window: s. calibrated: the
-    dates of the calibrations that it was made with, ISO 8601, by name.
+    lateness: delay of the rows after their set-points' times, s: median, 99 % and largest, NaN if not stored. missed:
+    number of skipped ticks. rate: median sampling rate, Hz. jitter: 99 % of the intervals differ from the median by no
+    more than this, s. longest_gap: s. deflection, rad, and torque, N m: peak to peak. deflection_lsb: the smallest step
+    between readings, rad. torque_noise: standard deviation of the torque about a local polynomial, N m. snr: ratio of
+    the torque's variance to that noise's, dB. band: the excited band, Hz. rate_window: width of the window from which
+    the rate is computed, s. calibrated: the dates, ISO 8601, of the calibrations in use, by name.
     """
 
     path: Path
@@ -64,8 +65,8 @@ class Inspection:
 def inspect(path: Path, progress: Progress | None = None) -> Inspection:
     """Summarise one recording, finished or not.
 
-    progress: called with a phase and the fraction done, NaN if unknown. Raises WrongUse, and Untrustworthy if no
-    signals can be made.
+    progress: a function that is called with a phase and the fraction done, NaN if unknown. Raises WrongUse, and
+    Untrustworthy if no signals can be computed.
     """
     with open_sources([path]) as (source,):
         source.verify(progress)

@@ -1,4 +1,4 @@
-"""Whether torque and deflection can be those of a joint: a wrong unit shows in their size, a wrong sign in Kc."""
+"""Check whether torque and deflection can be those of a joint: a wrong unit shows in their size, a wrong sign in Kc."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.stand.file import LimitsTable
 Array = NDArray[np.float64]
 
 GROSS = 3.0
-"""How many times a limit of the stand a channel must be for its unit to be wrong."""
+"""The ratio of a channel to the stand's limit above which the channel's unit must be wrong."""
 
 _TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
 _TURN = 2.0 * math.pi
@@ -38,7 +38,9 @@ _PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "u"))
 
 
 class Swing(NamedTuple):
-    """The smallest and the largest reading of a channel, SI, and the factor to SI from the unit that it was read in."""
+    """The smallest and the largest reading of a channel, SI. factor: the factor from the unit in which it was read to
+    SI.
+    """
 
     least: float
     largest: float
@@ -46,18 +48,20 @@ class Swing(NamedTuple):
 
     @property
     def half(self) -> float:
-        """Half the range, without the offset of the sensor."""
+        """Half the range, in which an offset of the sensor cancels."""
         return (self.largest - self.least) / 2.0
 
     @classmethod
     def of(cls, values: Array, factor: float = 1.0) -> Self:
-        """Return the swing of those readings (n,) that are numbers; 0 to 0 if there are none."""
+        """Return the smallest and the largest of those values (n,) that are numbers; 0 and 0 if there are none."""
         good = values[np.isfinite(values)]
         return cls(float(good.min()), float(good.max()), factor) if good.size else cls(0.0, 0.0, factor)
 
 
 def in_words(torque: Swing, deflection: Swing) -> str:
-    """Return both ranges in words: "torque -12 to 12 N m; deflection -3 to 4 rad, a span of 1.11 turns"."""
+    """Return the ranges of torque and deflection as text: "torque -12 to 12 N m; deflection -3 to 4 rad, a span of 1.11
+    turns".
+    """
     span = 2.0 * deflection.half
     turned = f"{span / _TURN:.3g} turns" if _turns(deflection) else f"{math.degrees(span):.3g} deg"
     return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, a span of {turned}"
@@ -87,15 +91,17 @@ def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) ->
 
 
 def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
-    """Return how many times its limit the torque or the deflection is, the larger of the two."""
+    """Return the ratio of the torque or of the deflection to its limit, the larger of the two ratios."""
     return max(torque.half / limits.torque, deflection.half / limits.deflection)
 
 
 def negative_stiffness(motion: Motion, torque: Array) -> float | None:
-    """Return the stiffness, N m/rad, if it and the damping are negative and explain most of the torque (n,), N m.
+    """Return the stiffness, N m/rad, if stiffness and damping are both negative and explain most of the torque (n,), N
+    m; else None.
 
-    It is fitted by least squares, with an inertia and an offset. None otherwise: then no sign is wrong. At one
-    frequency an inertia equals a negative stiffness, but not a negative damping, so the latter must be equally certain.
+    Both are fitted by least squares, with an inertia and an offset. If None is returned, no sign is wrong. At one
+    frequency an inertia equals a negative stiffness, but not a negative damping, so the damping must be equally
+    certain.
     """
     one_frequency = motion.has_one_frequency
     rows = slice(None, None, max(1, len(motion) // _ROWS))
@@ -118,8 +124,8 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
 
 
 def wrong_sign(stiffness: float, *, imported: bool) -> Diagnostic:
-    """Return the error for a recording with this `negative_stiffness`, N m/rad; imported: whether it came from a
-    table.
+    """Return the error for a recording with a negative stiffness, N m/rad. imported: whether the recording is an
+    imported table.
     """
     remedy = "Import the table again with --torque-scale -1, or with --dtheta-scale -1 if the angle is wrong"
     if not imported:
@@ -153,7 +159,9 @@ def _likely(dimension: str, swing: Swing, limit: float) -> str:
 
 
 def _turns(deflection: Swing) -> bool:
-    """Return whether the deflection spans more than a turn, which no coupling does unless its stand allows it."""
+    """Return whether the deflection spans more than a turn. No coupling deflects as far, unless the limits of its stand
+    allow it.
+    """
     return 2.0 * deflection.half > _TURN
 
 

@@ -1,10 +1,10 @@
-"""From a recording to the signals that are identified: torque, deflection and rate on one time base.
+"""Compute from a recording the signals that are identified: torque, deflection and rate at common times.
 
 Rate and acceleration are slope and curvature of a local polynomial fitted to the deflection in a window centred on each
-sample. It has no phase shift, and a gain within 0.03 % of one up to the frequency below which 99 % of the rate's power
-lies; this sets the windows (docs/rate.md explains it). Nothing else is filtered: the torque in equation (1) is that
-which was read, and the motor's own torque is computed from the same rate and acceleration. Raw channels are never
-altered.
+sample. The polynomial has no phase shift, and its gain differs from one by at most 0.03 % up to the frequency below
+which 99 % of the rate's power lies; this frequency sets the windows (docs/rate.md explains it). Nothing else is
+filtered: the torque in equation (1) is the torque that was read, and the motor's own torque is computed from the same
+rate and acceleration. Raw channels are never altered.
 """
 
 from __future__ import annotations
@@ -40,15 +40,16 @@ _MARGIN = 256  # rows beyond the windows of a block, to replace those that were 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """The motion of the joint and its torque (n,), N m, after the low-pass that the deflection went through, if any.
+    """The motion of the joint and its torque.
 
-    band: the excited band, Hz. rate_window: the width of the local polynomial, s, 0 if the rate was recorded.
-    torque_from: "joint", "motor", "given" or, for several recordings, "mixed". window: that of rate and acceleration;
-    for several recordings that of the noisiest; None if the rate was recorded. slower: the sensors that are slower than
-    the ticks. command (n,): the set-points at these times, None if not recorded. refused_rate: how a recorded rate
-    differs from the deflection's derivative, so that it is not used. unfiltered (n,): the torque as it was read, N m,
-    if different. jerked (n,): which samples are beside a jump of the acceleration, so that rate or acceleration is
-    unknown; None: none. imported: whether one of the recordings is an imported table.
+    torque (n,): N m; if the deflection was low-passed, the torque passed the same filter. band: the excited band, Hz.
+    rate_window: the width of the local polynomial, s, 0 if the rate was recorded. torque_from: "joint", "motor",
+    "given" or, for several recordings, "mixed". window: the window of rate and acceleration; for several recordings
+    that of the noisiest; None if the rate was recorded. slower: the sensors that are slower than the ticks. command
+    (n,): the set-points at these times, None if not recorded. refused_rate: how a recorded rate differs from the
+    deflection's derivative, which is why it is not used. unfiltered (n,): the torque as it was read, N m, if different.
+    jerked (n,): which samples are beside a jump of the acceleration, so that rate or acceleration is unknown; None for
+    none. imported: whether one of the recordings is an imported table.
     """
 
     motion: Motion
@@ -79,7 +80,9 @@ class Signals:
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
-        """Return where (n,) the rate hardly depends on the window that it is computed in; beside a jerk it does."""
+        """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it
+        does depend on it.
+        """
         return is_smooth(self.motion, self.window)
 
     @property
@@ -94,7 +97,7 @@ class Signals:
 
 
 def joined(parts: list[Signals]) -> Signals:
-    """Return the signals of several recordings, or of the blocks of one, concatenated."""
+    """Return the signals of several recordings, or of several blocks of a recording, concatenated."""
     commands = [part.command for part in parts if part.command is not None]
     known = np.concatenate([part.rate_known for part in parts])
     return Signals(
@@ -115,10 +118,10 @@ def joined(parts: list[Signals]) -> Signals:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Which channels are read: torque of the motor or of the joint, a recorded rate or the deflection's slope.
+    """The channels that are read: torque of the motor or of the joint, and a recorded rate or the deflection's slope.
 
-    own_time: whether the torque has its own stamps. imported: whether the channels are those of a table. torque,
-    dtheta: how these channels show a sensor slower than the ticks. refused: why a recorded rate is not used.
+    own_time: whether the torque has its own stamps. imported: whether the channels are those of an imported table.
+    torque, dtheta: how these channels show a sensor slower than the ticks. refused: why a recorded rate is not used.
     """
 
     stand: StandTable | None
@@ -141,8 +144,8 @@ class _Columns:
         return usable_rows(recording, start, stop, torque, rate=self.rate_given, own_time=self.own_time)
 
     def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
-        """Return the columns, with what the usable rows show of slower sensors and of the recorded rate, and the
-        windows.
+        """Return two results: the columns, updated by what the usable rows show of slower sensors and of the recorded
+        rate; and the windows.
         """
         columns = self._slower(usable)
         window = _window(usable, columns)
@@ -164,7 +167,8 @@ class _Columns:
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
-    """Return the signals of a recording made on `stand`; None: its torque column is used unchanged.
+    """Return the signals of a recording made on `stand`. stand: None if there is no stand; the torque column is then
+    used unchanged.
 
     Raises Untrustworthy for too few rows, a constant deflection, and time stamps that decrease or never change.
     """
@@ -180,15 +184,18 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
 
 
 def refuse_at_rest(recording: Recording, signals: Signals) -> None:
-    """Raise Untrustworthy if too few samples have a rate, or if torque or deflection are constant in those that do."""
+    """Raise Untrustworthy if too few samples have a rate, or if torque or deflection is constant in the samples that
+    have one.
+    """
     known = signals.rate_known
     samples = signals.motion.time[known], signals.torque[known], signals.motion.dtheta[known]
     refuse_hopeless(recording, *samples, where="in the samples that have a rate, ")
 
 
 class LongRecording:
-    """A recording too long for memory; its first million rows set the window. Raises Untrustworthy as `prepare` for
-    them.
+    """A recording that is too long for memory, and whose signals are computed block by block.
+
+    The first million rows set the window. Raises Untrustworthy as `prepare` for these rows.
     """
 
     def __init__(self, recording: Recording, stand: StandTable | None) -> None:
@@ -213,7 +220,9 @@ class LongRecording:
         return left
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
-        """Yield the signals of `prepare`, `block` rows at a time, read with enough neighbours for complete windows."""
+        """Yield the signals as from `prepare`, `block` rows at a time, read with enough neighbours for complete
+        windows.
+        """
         margin = 2 * self._window.widest + _MARGIN  # lost rows take room too
         starts = range(0, len(self._recording), block)
         around = ((max(0, start - margin), start + block + margin) for start in starts)
@@ -231,7 +240,7 @@ def _window(usable: UsableRows, columns: _Columns) -> Window:
 
 
 def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:
-    """Return the torque sensor's own readings, N m, if they were not taken at the ticks; else None."""
+    """Return the torque sensor's own readings, N m, if they were not made at the ticks; else None."""
     if columns.own_time:
         return slow_channel.stamped(usable.torque_time, usable.torque)
     return usable.readings("torque", columns.torque) if columns.torque or columns.dtheta else None
@@ -249,7 +258,9 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
 
 
 def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
-    """Return the signals of the usable rows within `rows` of the file; the other rows only complete their windows."""
+    """Return the signals of the usable rows within `rows` of the file. Other usable rows only complete the windows of
+    these rows.
+    """
     if len(usable.row) < FEWEST:
         return _nothing(usable, columns, window, rows)
     (stamps, _), angle = usable.stamps, usable.readings("deflection", columns.dtheta)
@@ -305,7 +316,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
 
 
 def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
-    """Return the empty signals of rows of which almost none is usable, as in a block without replies."""
+    """Return empty signals, for rows of which almost none is usable, as in a block without replies."""
     none, left = np.empty(0), int(np.count_nonzero(within(usable.row, rows)))
     return Signals(
         motion=Motion(none, none, none, none, none),
@@ -318,7 +329,10 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
 
 
 def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array]:
-    """Return the motion at the wanted torque readings (m,) that lie within a piece, and these readings, N m."""
+    """Return the motion at torque readings, and these readings, N m.
+
+    own: the sensor's own readings. wanted (m,): which of them are returned, if they lie within a piece.
+    """
     own = replace(own, row=own.row[wanted], time=own.time[wanted], value=own.value[wanted])
     for is_last in (own.drifts == 0.0, True):
         at = motion.at(own.time) if len(motion) else motion
@@ -335,13 +349,15 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
 
 
 def _beside(jerked: NDArray[np.bool_], time: Array, wanted: Array) -> NDArray[np.bool_]:
-    """Return whether a sample (n,) next to each wanted time (m,), s, is beside a jump of the acceleration."""
+    """Return for each wanted time (m,), s, whether one of the samples (n,) next to it is beside a jump of the
+    acceleration.
+    """
     after = np.searchsorted(time, wanted)
     return np.asarray(jerked[np.maximum(after - 1, 0)] | jerked[np.minimum(after, len(jerked) - 1)])
 
 
 def _at_joint(torque: Array, columns: _Columns) -> Array:
-    """Return a torque reading (n,), N m, as torque at the joint, including the motor's own part, by equation (1)."""
+    """Return a torque reading (n,), N m, as torque at the joint by equation (1), including the motor's own part."""
     return Transmission.of(columns.stand).torque(torque) if columns.motor_side and columns.stand else torque
 
 

@@ -1,4 +1,4 @@
-"""The quality of a recording: lost replies, saturated torque, late ticks, few encoder counts, noise."""
+"""Assess the quality of a recording: lost replies, saturated torque, late ticks, few encoder counts, noise."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ _ROWS = 1 << 20  # rows of the status read at a time
 class Quality:
     """The quality of a recording.
 
-    samples: rows of the file. saturated, late: numbers of such rows. torque_from: see `Signals`. torque, N m, and
-    deflection, rad: peak to peak. deflection_lsb: the smallest step seen, rad. torque_noise: standard deviation of the
-    torque about a local polynomial, N m. snr: the torque's variance over that noise's, dB; infinite without noise.
-    slower: the sensors that are slower than the ticks. highest: the frequency up to which the joint moved, Hz.
-    refused_rate: how a recorded rate that is not used differs from the deflection's derivative. negative: the
-    stiffness, N m/rad, if a sign is wrong.
+    samples: number of rows of the file. saturated, late: numbers of rows with these flags. torque_from: see `Signals`.
+    torque, N m, and deflection, rad: peak to peak. deflection_lsb: the smallest step between readings, rad.
+    torque_noise: standard deviation of the torque about a local polynomial, N m. snr: ratio of the torque's variance to
+    that noise's, dB; infinite without noise. slower: the sensors that are slower than the ticks. highest: the frequency
+    up to which the joint moved, Hz. refused_rate: how a recorded rate that is not used differs from the deflection's
+    derivative. negative: the stiffness, N m/rad, if a sign is wrong.
     """
 
     samples: int
@@ -63,7 +63,10 @@ class Quality:
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
-    """Return the quality of a recording from all its signals, or from some pieces of them, and all its defects."""
+    """Return the quality of a recording.
+
+    stretches: all its signals, or some pieces of them. defects: the rows of the whole recording that are not used.
+    """
     noise = float(np.median([_noise(stretch) for stretch in stretches]))
     dtheta = np.concatenate([stretch.motion.dtheta for stretch in stretches])
     torque = np.concatenate([stretch.as_read for stretch in stretches])
@@ -93,7 +96,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
 def recording_diagnostics(recording: Recording, quality: Quality, limits: LimitsTable | None) -> list[Diagnostic]:
     """Return the warnings and errors about one recording, equal for `hil inspect` and `hil identify`.
 
-    limits: of the stand that it was made on, None if unknown.
+    limits: the limits of the stand that the recording was made on, None if unknown.
     """
     imported = recording.imported
     by_position = quality.torque_from == "motor" and recording.profile.get("mode") == "position"
@@ -227,7 +230,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
 
 
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
-    """Return the number of rows with each of the flags."""
+    """Return the number of rows with each of the flags: saturated and late."""
     counts = [0] * len(flags)
     for start in range(0, len(recording), _ROWS):
         status = recording.channel("status", start, start + _ROWS).astype(np.int64)
@@ -257,5 +260,7 @@ def _noise_beside_motion(signals: Signals) -> float:
 
 
 def _count(stretch: Signals, dtheta: Array) -> float:
-    """Return the smallest step between two readings of the deflection, measured before a low-pass or resampling."""
+    """Return the smallest step between two readings of the deflection, rad, without the effect of a low-pass or of
+    resampling.
+    """
     return smallest_step(dtheta) if stretch.window is None else stretch.window.count

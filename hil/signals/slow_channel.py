@@ -1,9 +1,10 @@
-"""A sensor that is slower than the ticks: its readings repeat until the next one, or straight lines join them.
+"""Find the readings of a sensor that is slower than the ticks: its readings repeat until the next one, or straight
+lines join them.
 
-Only its own readings are used, each at the time of its conversion. A reading that repeats was converted between the
-tick that shows it first and the previous tick. If the sensor keeps its own pace, a line through many such times gives
-them to a small fraction of a tick; otherwise the middle of the two ticks is used. Where lines join the readings, the
-corner between two lines is a reading, with its time.
+Only the sensor's own readings are used, each at the time of its conversion. A reading that repeats was converted
+between the first tick that shows it and the previous tick. If the sensor keeps its own pace, a line through many such
+times gives the times to a small fraction of a tick; otherwise the middle of the two ticks is used. Where lines join the
+readings, the corner between two lines is a reading, with its time.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ Kind = Literal["held", "joined"]
 Channel = Literal["torque", "deflection"]
 
 FEWEST_READINGS: Final = 30
-"""The number of readings from which a sensor is judged."""
+"""The smallest number of readings from which a sensor's pace is judged."""
 
 COUNTS_A_TICK: Final = 2.0
-"""The speed, in counts a tick, at which a fast sensor does not repeat a count."""
+"""The speed, in counts per tick, from which a fast sensor does not repeat a count."""
 
 _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
 _UNEVEN: Final = 0.35  # of a pace, by which it varies at most
@@ -66,8 +67,8 @@ _LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does no
 class Readings:
     """The readings of a sensor: their conversion times (m,), s, and values (m,), in the order of time.
 
-    row (m,): the sample that holds each. unsure: the range of their common age, s. drifts: by how much their age may
-    change from the first to the last, in either direction, s.
+    row (m,): the sample that holds each reading. unsure: the range, s, of the unknown age that all readings have in
+    common. drifts: the largest change of this age from the first to the last reading, in either direction, s.
     """
 
     row: NDArray[np.int64]
@@ -84,10 +85,10 @@ class Readings:
 
 @dataclass(frozen=True, slots=True)
 class Slower:
-    """A channel whose sensor is slower than the ticks. step, tick: the usual time between its readings, and between
-    ticks, s.
+    """A channel whose sensor is slower than the ticks.
 
-    unsure: the range of the common age of its readings, s.
+    step: the usual time between its readings, s. tick: the usual time between ticks, s. unsure: the range, s, of the
+    unknown age that its readings have in common.
     """
 
     channel: Channel
@@ -98,8 +99,8 @@ class Slower:
 
 
 def kind_of(time: Array, values: Array) -> Kind | None:
-    """Return how a channel (n,), logged at time (n,) s, shows a sensor slower than the ticks; None if it is not
-    slower.
+    """Return how a channel (n,), logged at time (n,), s, shows a sensor slower than the ticks; None if the sensor is
+    not slower.
     """
     if len(values) < FEWEST_READINGS or np.ptp(values) == 0.0:
         return None
@@ -113,7 +114,10 @@ def kind_of(time: Array, values: Array) -> Kind | None:
 def slower(
     torque: Kind | None, own: Readings | None, dtheta: Kind | None, angle: Readings, stamps: Array
 ) -> tuple[Slower, ...]:
-    """Return the channels whose sensor is slower than the rows at `stamps` (n,), s, with its own readings."""
+    """Return the channels whose sensor is slower than the rows at `stamps` (n,), s.
+
+    torque, dtheta: kinds of the channels. own, angle: the sensors' own readings.
+    """
     found, step = [], float(np.median(np.diff(stamps))) if torque or dtheta else np.nan
     if torque is not None and own is not None:
         found.append(Slower("torque", torque, own.step, step, own.unsure))
@@ -123,28 +127,34 @@ def slower(
 
 
 def readings(time: Array, values: Array, kind: Kind) -> Readings:
-    """Return the sensor's own readings of such a channel (m,), fewer than its samples (n,)."""
+    """Return the sensor's own readings (m,) of a channel of this kind, fewer than the channel's samples (n,)."""
     return _held(time, values) if kind == "held" else _corners(time, values)
 
 
 def stamped(time: Array, values: Array) -> Readings:
-    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN if it did not."""
+    """Return the readings of a channel (n,) that another device stamped at time (n,), s; NaN marks samples without a
+    stamp.
+    """
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
 
 
 def makes_lines(count: float, bends: Array) -> bool:
-    """Return whether a count is so coarse, beside bends (n,) in its unit, that rounding alone makes straight lines."""
+    """Return whether rounding to counts alone makes straight lines, because a count is coarse compared with the bends.
+
+    count: the size of a count. bends (n,): the distances of samples from straight lines, in the same unit.
+    """
     return count > _SMALL_COUNT * float(np.quantile(bends, _BENT))
 
 
 def repaced(own: Readings, motion: Motion) -> Array:
-    """Return the times (m,), s, of torque readings (m,) at a pace that also fits the motion (n,) under them.
+    """Return the times (m,), s, of torque readings (m,) at a pace that also fits the motion (n,) at these times.
 
-    If a cell's pace is nearly a multiple of the ticks', the ticks do not determine it exactly, and the age would drift
-    over a recording. The two may also share one clock. A drift counts only if the torque shows it for any shape of the
-    torque over the deflection, including friction and relaxation. The age itself is estimated too, although the model's
-    skew covers it: with another age, friction reverses at other times, which no shape describes.
+    If a cell's pace is nearly a multiple of the ticks', the ticks do not determine the pace exactly, and the age of the
+    readings would drift over a recording. Cell and ticks may also share a clock. A drift is corrected only if the
+    torque shows it for every shape of the torque over the deflection, including friction and relaxation. The age itself
+    is estimated too, although the model's skew includes it: with another age, friction reverses at other times, which
+    no shape describes.
     """
     time, torque = own.time, own.value
     few = slice(None, None, -(-len(time) // _CONSTRAINTS))  # no more than these
@@ -177,8 +187,8 @@ def repaced(own: Readings, motion: Motion) -> Array:
 def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """Return the standard deviation, N m, of the part of the readings (m,) that no torque of the motion (n,) explains.
 
-    Between two readings the joint may move far, so a smooth curve through them does not show their noise. 0 for too few
-    readings.
+    Between two readings the joint may move far, so the distance from a smooth curve through the readings is not their
+    noise. 0 for too few readings.
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
@@ -197,8 +207,8 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
     """Return the possible components of a torque (n, k), each of about size one, and their time derivatives (n, k),
     1/s.
 
-    They are a line that bends at several deflections, friction that grows with the deflection, damping that grows with
-    the rate, branches that relax, and an inertia, which also stands for the second order of an age.
+    The components are a line that bends at several deflections, friction that grows with the deflection, damping that
+    grows with the rate, branches that relax, and an inertia, which also stands for the second-order effect of an age.
     """
     scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
     x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
@@ -220,7 +230,9 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
 
 
 def _is_held(values: Array, count: float) -> bool:
-    """Return whether values repeat although they move by counts each tick; a fast sensor repeats only at rest."""
+    """Return whether values repeat while the motion changes by counts at each tick; a fast sensor repeats only at
+    rest.
+    """
     changes = np.flatnonzero(np.diff(values)) + 1
     if len(changes) < FEWEST_READINGS:
         return False
@@ -233,10 +245,10 @@ def _is_held(values: Array, count: float) -> bool:
 
 
 def _is_paced(ticks: NDArray[np.int64]) -> bool:
-    """Return whether readings that last these numbers of ticks (m,) come at an even pace; repeats by a median filter do
-    not.
+    """Return whether readings come at an even pace. ticks (m,): the number of ticks that each reading lasts.
 
-    A reading at an even pace lasts one of two neighbouring numbers of ticks.
+    A reading at an even pace lasts one of two neighbouring numbers of ticks. Repeats caused by a median filter have no
+    even pace.
     """
     usual = np.minimum(ticks, 3.0 * np.median(ticks) + 6.0)  # counts that repeat at rest last longer
     pace, part = float(usual.mean()), float(usual.mean()) % 1.0
@@ -255,7 +267,8 @@ def _held(time: Array, values: Array) -> Readings:
 def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
     """Return when readings were converted (m,), s, between the times `before` and `shown` (m,), s.
 
-    Also returned: the range of their common error, s, and by how much it may change from the first to the last, s.
+    Two more results are the range of the error that these times have in common, s, and the largest change of that error
+    from the first to the last reading, s.
     """
     middle = 0.5 * (before + shown)
     whole = _numbered(np.diff(middle))
@@ -270,7 +283,9 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
 
 
 def _numbered(steps: Array) -> Array:
-    """Return the index (m + 1,) of readings that are this far apart (m,), s, some of which may be missing."""
+    """Return the index (m + 1,) of each reading, allowing for missing readings. steps (m,): the times between the
+    readings, s.
+    """
     usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
     for _ in range(2):  # steps of two and three ticks have a mean of neither
         counts = np.maximum(np.round(steps / usual), 1.0)
@@ -279,10 +294,11 @@ def _numbered(steps: Array) -> Array:
 
 
 def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, float]:
-    """Return evenly paced times (m,), s, between those before and those shown (m,), and the range of their middle.
+    """Return evenly paced times (m,), s, between the times `before` and `shown` (m,), and the range of the middle of
+    these times.
 
-    Of all paces that fit, the one farthest from its limits is taken. Returned last: how much longer or shorter the
-    others are over the whole, s.
+    number (m,): the index of each reading. Of all paces that fit, the pace farthest from its limits is chosen. The last
+    result is the difference, s, that the other paces make over the whole recording.
     """
     from scipy.optimize import linprog
 
@@ -303,8 +319,8 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
 
 
 def _bends(time: Array, values: Array) -> Array:
-    """Return the distance (n,) of the next sample from the line through this one and the last; infinite at both
-    ends.
+    """Return the distance (n,) of the next sample from the line through this sample and the previous one; infinite at
+    both ends.
     """
     steps = np.diff(time)
     bends = np.abs(np.diff(np.diff(values) / steps)) * np.minimum(steps[1:], steps[:-1])
@@ -312,9 +328,10 @@ def _bends(time: Array, values: Array) -> Array:
 
 
 def _tolerance(values: Array, bends: Array, count: float) -> float:
-    """Return the distance from a line up to which three samples (n,) with these bends (n,) count as collinear.
+    """Return the largest distance from a line at which three samples (n,) are still collinear.
 
-    A program that writes seven digits rounds larger values by more than the smallest count.
+    bends (n,): the distances from lines. count: the smallest step of the values. A program that writes seven digits
+    rounds larger values by more than a count.
     """
     fine = max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
     rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], _SHARPEST)))
@@ -322,7 +339,9 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
-    """Return whether the channel consists of straight lines of a few samples each, also where it bends sharply."""
+    """Return whether the channel consists of straight lines of a few samples each, including parts where it bends
+    sharply.
+    """
     if (np.diff(time) <= 0.0).any():
         return False
     bends = _bends(time, values)
@@ -351,8 +370,8 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
 
 
 def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """Return the largest (n,) of each value and `reach` neighbours on each side; scipy.ndimage takes longer to
-    import.
+    """Return the largest (n,) of each value and its `reach` neighbours on each side (importing scipy.ndimage takes
+    longer).
     """
     around = np.pad(values, reach, mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1).max(axis=1))
@@ -363,13 +382,15 @@ def _mostly(where: NDArray[np.bool_]) -> bool:
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the first and last sample (k, 2) of each line; the neighbours of its inner samples lie on it too."""
+    """Return the first and last sample (k, 2) of each line. on (n,): which samples lie on the line through their
+    neighbours.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
     return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
 
 
 def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lines (k, 2), with those of two samples each that remain between two of them."""
+    """Return the lines (k, 2), with those lines of only two samples that lie between two of them."""
     left = lines[1:, 0] - lines[:-1, 1] - 1
     pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * _MOST_SHORT), left // 2, 0)
     within = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)

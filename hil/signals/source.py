@@ -1,4 +1,4 @@
-"""Recordings opened for identification: each file opened once, and its stand parsed once."""
+"""Open recordings for identification: each file is opened once, and its stand is parsed once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.stand.file import LimitsTable, Stand, StandTable, parse
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """An open recording, and the stand file in it; None if it holds none."""
+    """An open recording, and the stand that its file contains (None if it contains none)."""
 
     recording: Recording
     stand: Stand | None
@@ -27,21 +27,21 @@ class Source:
 
     @property
     def table(self) -> StandTable | None:
-        """Return the stand file's [stand]."""
+        """Return the stand file's [stand] table, None if there is none."""
         return None if self.stand is None else self.stand.stand
 
     @property
     def limits(self) -> LimitsTable | None:
-        """Return the stand file's [limits], None if there are none."""
+        """Return the stand file's [limits] table, None if there is none."""
         return None if self.stand is None else self.stand.limits
 
     @property
     def torque_uncertainty(self) -> float:
-        """Return the uncertainty of the torque's scale, relative, one standard deviation; 0 if no stand gives one."""
+        """Return the relative standard uncertainty of the torque's scale; 0 if no stand gives one."""
         return 0.0 if self.table is None else self.table.torque_uncertainty
 
     def verify(self, progress: Progress | None = None) -> None:
-        """Raise Untrustworthy if the recording is not as it was written; progress as in `Recording.verify`."""
+        """Raise Untrustworthy if the recording has changed since it was written. progress: as in `Recording.verify`."""
         if self.recording.damaged:
             raise Untrustworthy(
                 f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "

@@ -1,4 +1,4 @@
-"""Time stamps of a recording: repeats spread, pieces without gaps, rows of a block."""
+"""Prepare the time stamps of a recording: spread repeated stamps, find pieces without gaps and rows of a block."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
 def spread_stamps(time: Array) -> tuple[Array, bool]:
-    """Return the stamps (n,), s, with repeats and bursts spread evenly up to the next stamp, and whether these are
-    many.
+    """Return the stamps (n,), s, with repeats and bursts spread evenly up to the next stamp, and whether many stamps
+    were spread.
 
-    A clock that ticks every 15.6 ms gives several rows one stamp. Their order is known, and their spacing is even
-    within the loop's jitter. The rows of the last stamp continue at the rate of the rows before.
+    A clock that ticks every 15.6 ms gives several rows one stamp. The order of the rows is known, and their spacing is
+    even within the loop's jitter. The rows of the last stamp continue at the rate of the rows before.
     """
     if len(time) < 2:
         return time, False
@@ -45,7 +45,7 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
 
 
 def _together(time: Array) -> float:
-    """Return the time, s, below which successive rows were stamped together: above 0 if many rows arrived in bursts.
+    """Return the time, s, below which successive rows were stamped together; 0 unless many rows arrived in bursts.
 
     A packet brings several rows, which a computer stamps one after the other. Jitter of a loop seldom brings samples so
     close.
@@ -58,7 +58,8 @@ def _together(time: Array) -> float:
 
 
 def _before_rounding(time: Array, near: float) -> Array:
-    """Return stamps (n,), s, at an even pace, if they differ from it by no more than their rounding or a burst.
+    """Return the stamps (n,), s, at an even pace, if the stamps differ from an even pace only by rounding or bursts;
+    else unchanged.
 
     A sample taken 0.3 ms from its stamp, at a resolution of a millisecond, has a deflection that is up to 2 % wrong at
     10 Hz. near: the time, s, within which rows arrived together, at the end of the interval in which they were taken.
@@ -84,9 +85,10 @@ def _before_rounding(time: Array, near: float) -> Array:
 
 
 def _narrowest_line(place: Array, time: Array) -> tuple[float, float]:
-    """Return slope and start of the line with the smallest largest distance from the stamps (n,), s.
+    """Return slope and start of the line whose largest distance from the stamps (n,), s, is the smallest.
 
-    Halves are rounded up in long runs and down in long runs, which tilts the line of least squares.
+    place (n,): the index of each stamp. Stamps that end in half a unit are rounded up in long runs and down in long
+    runs, which tilts the line of least squares.
     """
     from scipy.optimize import minimize_scalar
 
@@ -102,7 +104,7 @@ def _narrowest_line(place: Array, time: Array) -> tuple[float, float]:
 
 
 def _unit(time: Array) -> float:
-    """Return the unit, s, of which all stamps (n,) are multiples; 0 if there is none."""
+    """Return the unit, s, of which all stamps (n,) are multiples; 0 if there is no such unit."""
     digits = 4.0 * float(np.spacing(np.abs(time).max()))
     for unit in _UNITS:
         apart = (time - time[0]) / unit
@@ -112,8 +114,10 @@ def _unit(time: Array) -> float:
 
 
 def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return where each piece of sound samples without gaps begins, and which samples (n,) are in a piece that is long
-    enough.
+    """Return the first index of each piece of valid samples without gaps, and the samples (n,) that are in a long
+    enough piece.
+
+    sound (n,): which samples are valid. step: usual time between two samples, s.
     """
     places = np.flatnonzero(sound)
     breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > _APART * step)) + 1
@@ -125,11 +129,11 @@ def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArr
 
 
 def starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[int, ...]:
-    """Return the starts as indices into the kept samples."""
+    """Return the starts of the pieces as indices into the samples in `kept`."""
     counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
     return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
 
 
 def within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which rows (n,) of a file lie between the two of `rows`, the first included."""
+    """Return which rows (n,) of a file lie between the two numbers in `rows`, the first included."""
     return (row >= rows[0]) & (row < rows[1])

@@ -1,10 +1,10 @@
 """Recognise a filter, a resampling or a delay of the torque from its readings alone.
 
-Such a reading is not the torque of the coupling, and no model of the coupling describes it. The part of the torque that
-no linear filter of the deflection explains is noise, and it passes through the same processing: a moving mean removes
-the multiples of one frequency, a curve through the readings of a slower cell everything above half its rate. A median
-filter repeats a reading now and then, a slow cell repeats all of them. A delay is found where torque and deflection
-agree best.
+A torque reading that was processed in this way is not the torque of the coupling, and no model of the coupling
+describes it. The part of the torque that no linear filter of the deflection explains is noise, and the noise passes
+through the same processing: a moving mean removes the multiples of one frequency, a curve through the readings of a
+slower cell removes everything above half the cell's rate. A median filter repeats a reading now and then, a slow cell
+repeats all its readings. The delay is the one at which torque and deflection agree best.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _FINE: Final = 40.0  # delays that are tried in the shortest period
 
 
 def seen_in_torque(signals: Signals, longest: float) -> str:
-    """Return a sentence on the filter, resampling or delay of the torque and the remedy; "" if none is seen.
+    """Return, as text, which filter, resampling or delay the torque has, and the remedy; "" if none is detected.
 
     longest: the longest delay, s, that the models of the coupling describe.
     """
@@ -63,7 +63,7 @@ def seen_in_torque(signals: Signals, longest: float) -> str:
 
 
 def _seen_in_noise(signals: Signals, step: float) -> str:
-    """Return the sentence on a resampling or a moving mean that the noise of the torque shows; "" if none."""
+    """Return, as text, the resampling or moving mean that the noise of the torque shows; "" if there is none."""
     length = min(_SEGMENT, len(signals) // _SEGMENTS)
     frequency, power = _noise_spectrum(signals.as_read, signals.motion.dtheta, length, step)
     looked = (frequency > _BEYOND * signals.band[1]) & (frequency < _WHOLE / step)
@@ -106,10 +106,11 @@ def _smoothed(power: Array) -> Array:
 
 
 def _turns_lack(signals: Signals, length: int, step: float, frequency: Array, count: int) -> bool:
-    """Return whether the motion or its direction lacks the frequencies that a mean of `count` readings removes.
+    """Return whether the motion, or its direction, itself lacks the frequencies that a mean of `count` readings
+    removes.
 
-    It does if a drive rings, or takes set-points, at that pace. Friction has the spectrum of the direction and is no
-    noise; neither is the torque of a ripple too fast to be sampled.
+    Both lack these frequencies if a drive rings, or takes set-points, at that pace. The torque of friction has the
+    spectrum of the direction and is no noise; nor is the torque of a ripple too fast to be sampled.
     """
     for values in (np.sign(signals.motion.dtheta_dot), signals.motion.dtheta):
         spectra = _spectra(values, length)
@@ -125,8 +126,10 @@ def _decades(power: Array) -> Array:
 
 
 def _gaps(frequency: Array, decades: Array, count: int, step: float) -> tuple[Array, Array, Array]:
-    """Return the frequencies (g,), Hz, at which a mean of `count` readings has gaps, their depths (g,) in decades, and
-    the lobe after each.
+    """Return the gaps in the spectrum that a mean of `count` readings would cause.
+
+    The results are their frequencies (g,), Hz, their depths (g,) in decades, and the power of the lobe after each gap.
+    decades: the spectrum's power as a logarithm.
     """
     half = 0.5 / (count * step)
     gaps = 2.0 * half * np.arange(1, count)
@@ -136,7 +139,7 @@ def _gaps(frequency: Array, decades: Array, count: int, step: float) -> tuple[Ar
 
 
 def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
-    """Return the frequency, Hz, above which the torque has no noise; None if there is noise everywhere."""
+    """Return the frequency, Hz, above which the torque has no noise; None if there is noise at all frequencies."""
     below = power[frequency < _BEYOND * highest]
     usual = float(np.median(below)) if below.size else 0.0
     gone = np.flatnonzero((power < usual / _EDGE) & (frequency > highest))
@@ -152,7 +155,9 @@ def _cliff(frequency: Array, power: Array, highest: float) -> float | None:
 
 
 def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
-    """Return the length of a moving mean, in readings, from the gaps in the noise; None if there are none."""
+    """Return the length of a moving mean, in readings, computed from the gaps in the noise's spectrum; None if there
+    are no gaps.
+    """
     found, lobes = None, np.zeros(1)
     for count in range(3, _LONGEST_MEAN):
         gaps, depths, between = _gaps(frequency, _decades(power), count, step)
@@ -162,7 +167,9 @@ def _mean_of(frequency: Array, power: Array, step: float) -> int | None:
 
 
 def _delay(signals: Signals, step: float) -> float:
-    """Return the delay of the torque, s, if spring and damper explain it much better with it; else 0."""
+    """Return the delay of the torque, s, if spring and damper explain the torque much better with that delay; else
+    0.
+    """
     motion, torque = signals.motion, signals.torque
     columns = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
     pace = max(step, 1.0 / (_FINE * signals.band[1]))

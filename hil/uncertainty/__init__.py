@@ -1,1 +1,1 @@
-"""Confidence intervals, and whether they may be trusted."""
+"""Compute confidence intervals, and check whether they may be trusted."""

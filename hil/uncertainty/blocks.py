@@ -1,4 +1,4 @@
-"""The rows of a linear problem, columns and torque: read in order, one block at a time, as often as needed."""
+"""Read the rows of a linear problem, columns and torque, in order, one block at a time, as often as needed."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Block = tuple[Array, Array]
 Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
-"""A function that returns which of the rows with these numbers (m,) are kept."""
+"""A function that gets row numbers (m,) and returns which of these rows are kept."""
 
 _COUNTED = 1 << 18  # row numbers at a time: those of all rows would not fit in memory either
 
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """Blocks of columns (m, p) and torque (m,), N m; each call reads from the first row again.
+    """The rows of a linear problem as blocks of columns (m, p) and torque (m,), N m; each call reads from the first row
+    again.
 
-    rows: the number of all rows. read: the function that starts reading them.
+    rows: the total number of rows. read: the function that starts reading the rows.
     """
 
     rows: int
@@ -36,13 +37,13 @@ class Blocks:
         return cls(len(torque), lambda: [(columns, torque)])
 
     def where(self, keep: Keep) -> Blocks:
-        """Return the rows whose numbers `keep` selects."""
+        """Return the rows whose numbers the function `keep` selects."""
         starts = range(0, self.rows, _COUNTED)
         rows = sum(int(keep(np.arange(at, min(at + _COUNTED, self.rows))).sum()) for at in starts)
         return Blocks(rows, lambda: self._selected(keep))
 
     def between(self, start: int, stop: int) -> Blocks:
-        """Return the rows `start` to `stop`."""
+        """Return the rows from `start` to `stop`, `stop` excluded."""
 
         def keep(number: NDArray[np.int64]) -> NDArray[np.bool_]:
             return np.asarray((number >= start) & (number < stop))
@@ -50,8 +51,9 @@ class Blocks:
         return Blocks(stop - start, lambda: self._selected(keep))
 
     def searching(self, searched: NDArray[np.bool_], values: Array) -> Blocks:
-        """Return the rows with the columns (p,) that are searched; the torque of the others at values (p,), SI, is
-        subtracted.
+        """Return the rows with only the searched columns.
+
+        searched (p,): which columns are searched. The torque of the other columns, at values (p,), SI, is subtracted.
         """
         return Blocks(
             self.rows,

@@ -1,4 +1,4 @@
-"""Confidence intervals of the parameters: the sampling error of a least-absolute-deviations fit.
+"""Compute confidence intervals of the parameters: the sampling error of a least-absolute-deviations fit.
 
 For residuals e and columns X the estimate is asymptotically normal with covariance A^-1 B A^-1 (Koenker, Quantile
 Regression, 2005, section 4.3). A is twice the sum of x x' weighted by the residuals' density at zero (Powell's kernel
@@ -29,9 +29,10 @@ _PART = 1e-5  # of a dependent combination, below which a parameter takes no par
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceIntervals:
-    """The half width of each parameter's 95 % interval (p,), SI, and its variance inflation (p,).
+    """The confidence intervals of all parameters.
 
-    inflation: how many times larger the parameter's variance is than if its column were orthogonal to all others.
+    half_width (p,): half of each parameter's 95 % interval, SI. inflation (p,): the variance inflation: how many times
+    larger the parameter's variance is than if its column were orthogonal to all others.
     """
 
     half_width: Array
@@ -40,12 +41,16 @@ class ConfidenceIntervals:
     def with_scale_uncertainty(self, uncertainty: Array, values: Array) -> ConfidenceIntervals:
         """Return the intervals widened by the uncertainty of a scale, which more samples do not reduce.
 
-        uncertainty: relative, one standard deviation, of the quantity that the parameters (p,) are proportional to.
+        uncertainty: relative standard uncertainty of the quantity, such as the torque, that the parameters (p,) are
+        proportional to. values (p,): the parameters.
         """
         return ConfidenceIntervals(np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)), self.inflation)
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
-        """Return the intervals with the sampling half widths (p,) replaced by those of averages over models (p,)."""
+        """Return the intervals with the sampling half widths replaced by those of averages over models.
+
+        chosen (p,): the half widths of the averages. sampling (p,): the half widths to be replaced.
+        """
         known = np.isfinite(sampling)
         squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
         other = np.sqrt(np.maximum(squares, 0.0))
@@ -56,9 +61,11 @@ class ConfidenceIntervals:
 
 @dataclass(frozen=True, slots=True)
 class Covariance:
-    """The sampling covariance of the parameters (p, p), SI; zero for those that cannot be distinguished from others.
+    """The sampling covariance of the parameters.
 
-    quantile (p,): half a 95 % interval in standard errors. inflation (p,): see `ConfidenceIntervals`.
+    matrix (p, p): the covariance, SI; zero for parameters that cannot be distinguished from others. quantile (p,): half
+    a 95 % interval in standard errors. distinct (p,): which parameters can be distinguished from others. inflation
+    (p,): see `ConfidenceIntervals`.
     """
 
     matrix: Array
@@ -106,9 +113,9 @@ def distinct(blocks: Blocks) -> NDArray[np.bool_]:
 
 
 def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) its columns can distinguish from others.
+    """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) can be distinguished from others.
 
-    For dependent columns it is the pseudo-inverse, which is correct for the other parameters.
+    For dependent columns the pseudo-inverse is returned, which is correct for the other parameters.
     """
     size = np.sqrt(np.diag(gram))
     excited = size > 0.0
@@ -122,8 +129,10 @@ def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 @dataclass(frozen=True, slots=True)
 class _Sums:
-    """gram: the sum of x x' (p, p). residuals: those of every n-th row, N m. rounding: N m, below which one counts as
-    zero.
+    """The sums of the first pass through the rows.
+
+    count: the number of rows. gram (p, p): the sum of x x'. residuals: the residuals of every n-th row, N m. rounding:
+    the residual, N m, below which a residual is treated as zero.
     """
 
     count: int
@@ -161,10 +170,10 @@ def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Resi
 
 
 def _kernel_width(sums: _Sums) -> float:
-    """Return the residual, N m, up to which one counts as near zero: the bandwidth of Bofinger (1975) for the median.
+    """Return the residual, N m, up to which a residual is near zero: the bandwidth of Bofinger (1975) for the median.
 
-    In quantiles it is n^(-1/5) (4.5 phi(0)^4)^(1/5), which minimises the mean square error of the density; parameters
-    that few rows determine need it. It always keeps at least a hundred rows.
+    In quantiles the bandwidth is n^(-1/5) (4.5 phi(0)^4)^(1/5), which minimises the mean square error of the density;
+    parameters that few rows determine need this bandwidth. At least a hundred rows are always near zero.
     """
     from scipy.special import ndtri
 

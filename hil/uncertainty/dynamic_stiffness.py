@@ -1,12 +1,13 @@
-"""The dynamic stiffness G = K' + i 2 pi f B' of a joint, without a model: stiffness and damping in bands of frequency.
+"""Compute the dynamic stiffness G = K' + i 2 pi f B' of a joint without a model: stiffness and damping in bands of
+frequency.
 
 Torque and deflection are cut into overlapping segments. G is the quotient of their cross spectra with an instrument,
-summed over the segments and the lines of a band (Pintelon and Schoukens, System Identification, 2012, section 2.7). The
-instrument is the commanded deflection if it was recorded, whose errors are independent of those of the readings; else
-the deflection itself, whose noise makes K' too low. Within a band K' and B' are taken as constant. Damping is computed
-from the measured rate and not from i 2 pi f times the deflection, so that the window does not distort a spring and
-damper. Intervals come from the scatter of the lines about G; a line counts for as much independent data as Hann's
-window and the overlap leave.
+summed over the segments and the lines of a band (Pintelon and Schoukens, System Identification, 2012, section 2.7). If
+the commanded deflection was recorded, it is the instrument, because its errors are independent of those of the
+readings; otherwise the instrument is the deflection itself, whose noise makes K' too low. Within a band K' and B' are
+assumed constant. Damping is computed from the measured rate and not from i 2 pi f times the deflection, so that the
+window does not distort a spring and damper. Intervals come from the scatter of the lines about G. Lines are weighted as
+the independent data that remain with Hann's window and the overlap.
 """
 
 from __future__ import annotations
@@ -44,10 +45,10 @@ _HARMONICS: Final = 3.0  # times the upper end of the band, up to which distorti
 
 @dataclass(frozen=True, slots=True)
 class Bands:
-    """Stiffness, N m/rad, and damping, N m s/rad, in bands of mean frequency (b,), Hz, with half their 95 % intervals.
+    """Stiffness, N m/rad, and damping, N m s/rad, in b bands, each (b,) with half its 95 % interval.
 
-    coherence (b,): the fraction, 0 to 1, of the torque's power in the band that follows from the deflection.
-    deflection: r.m.s. over the segments, rad.
+    frequency (b,): mean frequency of each band, Hz. coherence (b,): the fraction, 0 to 1, of the torque's power in the
+    band that follows from the deflection. deflection: r.m.s. deflection over the segments, rad.
     """
 
     frequency: Array
@@ -61,9 +62,10 @@ class Bands:
 
 @dataclass(frozen=True, slots=True)
 class Distortion:
-    """The torque at frequencies that a periodic excitation does not contain, r.m.s., relative to the whole torque.
+    """The harmonic distortion of a periodic recording.
 
-    noise: the same for the differences between periods. period: s.
+    level: the torque at frequencies that the excitation does not contain, r.m.s., relative to the whole torque. noise:
+    the same ratio for the differences between periods. period: the period of the excitation, s.
     """
 
     level: float
@@ -73,11 +75,11 @@ class Distortion:
 
 @dataclass(frozen=True, slots=True)
 class DynamicStiffness:
-    """The bands of all segments, and by_amplitude: of the half with the smaller and with the larger deflection, () if
-    equal.
+    """The dynamic stiffness of a joint.
 
-    instrument: "command" or "deflection". distortion: None if the excitation is not periodic, or has power at every
-    frequency.
+    bands: the bands of all segments. by_amplitude: the bands of the half of the segments with the smaller deflection,
+    and of the half with the larger one; () if the deflections are equal. instrument: "command" or "deflection".
+    distortion: None if the excitation is not periodic, or has power at every frequency.
     """
 
     bands: Bands
@@ -87,14 +89,17 @@ class DynamicStiffness:
 
     @property
     def groups(self) -> list[tuple[str, Bands]]:
-        """Return the bands with what they are of: "all" segments, and those of "small" and "large" deflection."""
+        """Return the bands with the name of their segments: "all", and "small" and "large" for those of small and large
+        deflection.
+        """
         return [("all", self.bands), *zip(("small", "large"), self.by_amplitude, strict=False)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Spectra:
-    """Spectra of each segment (s, l) at frequencies (l,) Hz: torque, deflection, rate, instrument. deflection: r.m.s.
-    (s,).
+    """Spectra of each segment (s, l) at frequencies (l,), Hz: of torque, angle, rate and instrument.
+
+    deflection (s,): r.m.s. deflection of each segment, rad.
     """
 
     frequency: Array
@@ -118,10 +123,10 @@ class _Spectra:
 def dynamic_stiffness(
     recorded: Recorded, band: tuple[float, float], command: Array | None = None
 ) -> DynamicStiffness | None:
-    """Return the dynamic stiffness in the band, Hz, of the motion; None if the recording is shorter than a segment.
+    """Return the dynamic stiffness in a band, Hz; None if the recording is shorter than a segment.
 
-    command (n,): rad or N m, in the order of the samples. It is not used if it has gaps, is constant, or the motion
-    does not follow it.
+    band: the excited band of the motion. command (n,): set-points, rad or N m, in the order of the samples. The command
+    is ignored if it has gaps, is constant, or the motion does not follow it.
     """
     usable = command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
     instrument = command if command is not None and usable else recorded.deflection
@@ -197,9 +202,10 @@ def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
 
 
 def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> Bands:
-    """Return the bands of some segments, without those in which they hardly moved. every: all segments.
+    """Return the bands of some segments, without the bands in which these segments hardly moved.
 
-    Motion is judged relative to all segments: relative to segments at rest, noise would count as motion.
+    every: the spectra of all segments, with which the motion is compared: compared with segments at rest, noise would
+    look like motion.
     """
     edges = _edges(spectra.frequency, band)
     inside = slice(int(edges[0]), int(edges[-1]))
@@ -219,14 +225,14 @@ def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> 
 
 
 def _power(lines: Complex, some: slice) -> float:
-    """Return the mean power of some of the lines (s, l); 0 if there are none."""
+    """Return the mean power of the lines (s, l) that `some` selects; 0 if it selects none."""
     chosen = lines[:, some]
     return float(np.mean(np.abs(chosen) ** 2)) if chosen.size else 0.0
 
 
 def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
-    """Return frequency (Hz), K', its half interval, B', its half interval, coherence; [] if K' and B' cannot be
-    separated.
+    """Return frequency (Hz), K', half the interval of K', B', half the interval of B', and coherence; [] if K' and B'
+    cannot be separated.
     """
     from scipy.special import stdtrit
 
@@ -250,7 +256,11 @@ def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
 
 
 def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, ...]:
-    """Return the bands of the half of the moving segments with smaller, and with larger, deflection; () if equal."""
+    """Return the bands of the half of the moving segments with the smaller deflection, and of the half with the larger
+    one.
+
+    () if the deflections are equal.
+    """
     moving = spectra.deflection**2 > _WEAK * np.mean(spectra.deflection**2)
     large = moving & (spectra.deflection > np.median(spectra.deflection[moving]))
     small = moving & ~large
@@ -261,9 +271,9 @@ def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, 
 
 
 def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> Distortion | None:
-    """Return the distortion, from the repeating periods of the longest piece; fading periods do not repeat.
+    """Return the harmonic distortion, from the repeating periods of the longest piece.
 
-    None if too few periods repeat, as with a growing amplitude, and if no frequency is free of motion.
+    None if too few periods repeat, as with a growing or fading amplitude, and if no frequency is free of motion.
     """
     part = max(recorded.stretches(), key=lambda one: one.stop - one.start)
     torque, moved = (_even(recorded, part, values) for values in (recorded.torque, recorded.deflection))
@@ -274,9 +284,7 @@ def _distortion(recorded: Recorded, band: tuple[float, float], bands: Bands) -> 
 
 
 def _repeating(torque: Array, moved: Array, samples: float) -> tuple[Array, Array] | None:
-    """Return torque and deflection (k, n) of the periods of `samples` samples that repeat; None if there are too
-    few.
-    """
+    """Return torque and deflection (k, n) of the k periods of `samples` samples that repeat; None if too few do."""
     count, length = int(len(moved) / samples + 0.01), int(samples)
     grid = np.arange(count * length) * (samples / length)
     cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
@@ -321,10 +329,10 @@ def _distorted(
 
 
 def _periods(values: Array, shortest: int) -> list[float]:
-    """Return candidates for the period in samples, fractional: the first and the highest maximum of the
+    """Return candidates for the period, in samples, not rounded: the first and the highest maximum of the
     autocorrelation.
 
-    A slowly changing amplitude makes values similar before a whole period has passed.
+    If the amplitude changes slowly, values are similar before a whole period has passed.
     """
     centred = values - values.mean()
     count = len(values)

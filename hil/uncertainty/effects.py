@@ -1,7 +1,7 @@
 """The signatures of effects that a model of the coupling may lack: columns that are compared with residuals.
 
-Each effect gives, for one recording, the torque that it would add per unit: what a Maxwell branch, an inertia or
-friction in proportion to the torque would look like in the residuals. Effects with a time constant or a length have a
+For one recording, each effect gives the torque that one unit of the effect would add: the pattern of a Maxwell branch,
+an inertia or friction in proportion to the torque in the residuals. Effects with a time constant or a length have a
 column for each of a few values.
 """
 
@@ -30,7 +30,7 @@ _SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
 _SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
-"""The variance of `reading_noise` for white noise of variance one."""
+"""The variance of `reading_noise` if the deflection has white noise of variance one."""
 
 _SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
 _STRAIGHT: Final = 1e-6  # of the usual step between two torque readings, below which three lie on a line
@@ -42,7 +42,7 @@ _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short on
 class Recorded:
     """A recording as arrays (n,): time s, torque of the coupling N m, deflection rad, rate rad/s.
 
-    starts: the first sample of each piece, beginning with 0; filters start anew there.
+    starts: the first sample of each piece, beginning with 0; filters start anew at each piece.
     """
 
     time: Array
@@ -55,7 +55,10 @@ class Recorded:
         return len(self.time)
 
     def at(self, rows: NDArray[np.int64], starts: set[int]) -> Recorded:
-        """Return the samples at `rows`, rising; starts: additional first samples of pieces among them."""
+        """Return the samples with the rising indices `rows`.
+
+        starts: samples among them at which additional pieces begin.
+        """
         known = np.searchsorted(rows, self.starts).tolist()
         begin = tuple(sorted(start for start in {0, *starts, *known} if start < len(rows)))
         return Recorded(self.time[rows], self.torque[rows], self.deflection[rows], self.rate[rows], begin)
@@ -71,7 +74,9 @@ class Recorded:
         return float(np.median(np.diff(self.time)))
 
     def delayed(self, values: Array, delay: float) -> Array:
-        """Return values (n,) delayed by `delay` s; the first value of a piece is held before it."""
+        """Return values (n,) delayed by `delay` s; the first value of each piece is also used for the time before the
+        piece.
+        """
         found = np.empty(len(self))
         for part in self.stretches():
             found[part] = np.interp(self.time[part] - delay, self.time[part], values[part])
@@ -86,8 +91,9 @@ class Recorded:
         return found
 
     def convolved(self, values: Array, weights: Array, centre: int) -> Array:
-        """Return values (n,) filtered by weights (m,), the one at `centre` acting without delay; values at the ends are
-        held.
+        """Return values (n,) filtered by weights (m,).
+
+        centre: the index of the weight that acts without delay. Beyond the ends of a piece its end values are used.
         """
         found = np.empty(len(self))
         for part in self.stretches():
@@ -119,7 +125,9 @@ class Recorded:
         return float(np.abs(self.centred()).max())
 
     def elapsed(self) -> Array:
-        """Return the position (n,) of each sample in the whole, -0.5 to 0.5, since recordings may have been pooled."""
+        """Return the position (n,) of each sample in the whole recording, -0.5 to 0.5; the time would repeat in pooled
+        recordings.
+        """
         return np.linspace(-0.5, 0.5, len(self))
 
     def presliding(self, length: float) -> Array:
@@ -137,16 +145,19 @@ class Recorded:
 
 
 Signature = Callable[[Recorded, Array], list[Array]]
-"""A function that returns the columns (n, k) of an effect for a recording and the torque (n,), N m, of the model."""
+"""A function that returns the columns (n, k) of an effect.
+
+Its arguments are a recording and the torque (n,), N m, of the fitted model.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that residuals may look like. name: for people. advice: what to try; models are named by their term in
-    braces.
+    """An effect that may explain the residuals.
 
-    in_deflection: whether it is an effect of the deflection's reading, which moves Bc through a false skew.
-    takes_spring: whether it removes the spring's whole torque over the range in which its column changes.
+    name: the effect in words. advice: what to try; models are named by their term in braces. in_deflection: whether it
+    is an effect of the deflection's reading, which changes Bc through a false skew. takes_spring: whether it removes
+    the spring's whole torque over the range in which its column changes.
     """
 
     code: str
@@ -157,8 +168,8 @@ class Effect:
     takes_spring: bool = False
 
     def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
-        """Return the advice for a model of these terms; each term in braces is combined with those that it does not
-        exclude.
+        """Return the advice for a model of these terms; each term in braces is combined with those of `terms` that it
+        does not exclude.
 
         Advice that gives the present model again is left out.
         """
@@ -168,7 +179,7 @@ class Effect:
         return self.advice.format_map(models).removeprefix(f"try --model {'+'.join(terms)}, ")
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
-        """Pickle the effect as its code, since its signature may be a lambda."""
+        """Pickle the effect as its code, because its signature may be a lambda."""
         return effect_of, (self.code,)
 
 
@@ -177,7 +188,7 @@ def _columns(*columns: Array) -> Array:
 
 
 def _smooth(recorded: Recorded, values: Array) -> Array:
-    """Return values without the noise of their readings, which is a separate effect."""
+    """Return values (n,) without the noise of their readings; that noise is an effect of its own."""
     return recorded.smoothed(values, _SMOOTH / recorded.step)
 
 
@@ -206,7 +217,7 @@ def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def _from_middles(recorded: Recorded) -> list[Array]:
-    """Return the deflection, rad, relative to where the torque is small, and to the middle of its range."""
+    """Return the deflection, rad, relative to two points: where the torque is small, and the middle of its range."""
     angle, torque = recorded.centred(), np.abs(recorded.torque)
     return [angle - float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), angle]
 
@@ -227,7 +238,7 @@ def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
 
 
 def of_readings(recorded: Recorded, model: Array) -> Array:
-    """Return the torque (n, k) that the sensors themselves may add: noise of the deflection, repeated torque
+    """Return the torque (n, k) that errors of the sensors may add: noise of the deflection, repeated torque
     readings.
     """
     held = _held(recorded, model) or _joined(recorded, model)
@@ -235,8 +246,8 @@ def of_readings(recorded: Recorded, model: Array) -> Array:
 
 
 def reading_noise(recorded: Recorded) -> Array:
-    """Return the part of the deflection (n,), rad, that no smooth motion makes: its sixth difference, 1 for a single
-    spike.
+    """Return the part of the deflection (n,), rad, that no smooth motion makes: its sixth difference, scaled to 1 for a
+    single wrong reading of 1 rad.
     """
     found = np.zeros(len(recorded))
     for part in recorded.stretches():
@@ -247,9 +258,7 @@ def reading_noise(recorded: Recorded) -> Array:
 
 
 def _held(recorded: Recorded, model: Array) -> list[Array]:
-    """Return the torque that is missing because of the age of repeated readings, where rounding does not explain
-    them.
-    """
+    """Return the torque that is missing because repeated readings are old; [] if rounding explains the repeats."""
     fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
     moves = np.abs(np.diff(model)) > COUNTS_A_TICK * smallest_step(recorded.torque)
     if np.count_nonzero(moves) < FEWEST_READINGS or np.mean(~fresh[1:][moves]) < _SOME:
@@ -258,7 +267,9 @@ def _held(recorded: Recorded, model: Array) -> list[Array]:
 
 
 def _joined(recorded: Recorded, model: Array) -> list[Array]:
-    """Return the torque that is missing where a slow cell's readings were joined by lines: the chord of a parabola."""
+    """Return the torque that is missing because a slow cell's readings were joined by lines: the chord of a
+    parabola.
+    """
     steps = np.diff(recorded.torque)
     bends = np.abs(np.diff(steps))
     bent = bends > _STRAIGHT * float(np.median(np.abs(steps)))
@@ -270,7 +281,9 @@ def _joined(recorded: Recorded, model: Array) -> list[Array]:
 
 
 def _since(recorded: Recorded, marked: NDArray[np.bool_], *, backwards: bool = False) -> Array:
-    """Return the time (n,), s, since the last marked sample; backwards: until the next one, negative."""
+    """Return the time (n,), s, since the last marked sample; if `backwards`, until the next one, as a negative
+    number.
+    """
     order = slice(None, None, -1) if backwards else slice(None)
     marks = np.where(marked, np.arange(len(recorded)), len(recorded) - 1 if backwards else 0)[order]
     found = np.minimum.accumulate(marks) if backwards else np.maximum.accumulate(marks)

@@ -5,8 +5,8 @@ Hausman 1978), the earlier motion, powers, signs and products of the motion, wav
 regressor that the model's own columns explain is removed first. Its product with the residuals is then a score (Rao
 1948), summed over blocks in time. If the model is right, the sum of each block has either sign with equal probability,
 however the residuals within a block are correlated and distributed. Random signs of the blocks therefore give the
-distribution of the scores by chance. Holm's (1979) correction accounts for the number of tests. The fraction of the
-residuals that ridge regression predicts in blocks that it was not fitted to says how large the misfit is.
+distribution of the scores by chance. Holm's (1979) correction allows for the number of tests. The size of the misfit is
+the fraction of the residuals that ridge regression predicts in blocks that it was not fitted to.
 """
 
 from __future__ import annotations
@@ -40,11 +40,13 @@ _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averag
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The fit that is tested, SI. residuals (n,): N m. columns (n, p): the derivative of the torque by each parameter.
+    """The fit that is tested, SI.
 
-    coupling: the indices of Kc and Bc, None for a model without them. half_width: of their intervals. skew: the index
-    of a skew, None without. kept (n,): the samples that the model describes; the others are not read. None: all.
-    included: the codes of effects that the model already has a term for, which are no remedy.
+    residuals (n,): N m. columns (n, p): the derivative of the torque with respect to each parameter. coupling: the
+    indices of Kc and Bc, None for a model without them. values: Kc and Bc. half_width: half their intervals. skew: the
+    index of a skew, None if the model has none. kept (n,): the samples that the model describes, None for all; the
+    other samples are ignored. included: the codes of effects that the model already has a term for, and which therefore
+    are no remedy.
     """
 
     residuals: Array
@@ -58,7 +60,7 @@ class Fitted:
 
 
 def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
-    """Test a fit. Return None if the recording is too short, or if the residuals are only rounding.
+    """Test a fit for lack of fit. Return None if the recording is too short, or if the residuals are only rounding.
 
     None also if the model describes almost no sample. Raises ValueError if the arrays differ in length.
     """
@@ -75,14 +77,16 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
 
 
 def predicted(recorded: Recorded, *fits: Fitted) -> Array:
-    """Return the predicted part of the residuals of each fit (k,), N m r.m.s., by the regressors of the first."""
+    """Return the predictable part of the residuals of each of k fits, N m r.m.s. (k,); all use the regressors of the
+    first.
+    """
     tests = [_Tests(*_fewer(recorded, _blanked(one))) for one in fits]
     features = np.concatenate(list(tests[0].features().values()), axis=1)
     return np.array([one.predicted(features)[1] for one in tests])
 
 
 class _Tests:
-    """One recording with the scores of its residuals, and the tests on them."""
+    """A recording, the scores of the residuals of its fit, and the lack-of-fit tests on these scores."""
 
     def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
         self._recorded, self._fitted = recorded, fitted
@@ -95,12 +99,13 @@ class _Tests:
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
 
     def features(self) -> dict[str, Array]:
-        """Return the regressors (n, k) of each respect, without the part that the model explains."""
+        """Return the regressors (n, k) of each respect, without the part that the model's columns explain."""
         return {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
 
     def predicted(self, features: Array) -> tuple[float, float]:
-        """Return the fraction of the residuals' power that features (n, k) predict in unseen blocks, and its size, N m
-        r.m.s.
+        """Return two sizes of the part of the residuals that features (n, k) predict in unseen blocks.
+
+        They are its fraction of the residuals' power, and its r.m.s. value, N m.
         """
         return self._tested.predicted(features)
 
@@ -135,14 +140,18 @@ class _Tests:
         )
 
     def _of_torque(self, share: float, predicted: float) -> float:
-        """Return a predicted size, N m r.m.s., relative to the torque's standard deviation, robust to outliers."""
+        """Return the size of the predicted torque relative to the torque's standard deviation, robust to outliers.
+
+        share: the predicted fraction of the residuals' power. predicted: the predicted torque, N m r.m.s.
+        """
         kept = self._kept[:, 0]
         residuals, torque = (float(np.std(one[kept])) for one in (self._fitted.residuals, self._recorded.torque))
         return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
-        """Compare Kc and Bc of one part, given by weights (n,) or as the band below this frequency, Hz, with those of
-        the rest.
+        """Compare Kc and Bc of one part of the recording with those of the rest; None if they cannot be compared.
+
+        weights: the part as weights (n,) of the samples, or as a frequency, Hz: then the part is the band below it.
         """
         own = self._coupling
         if isinstance(weights, float):
@@ -160,7 +169,7 @@ class _Tests:
         return Respect(code, NAMES[code], chance, *self._relative(np.asarray(differences)))
 
     def _suspects(self, share: float) -> tuple[Suspect, ...]:
-        """Return the effects that explain most of the predicted part, the best first."""
+        """Return the few effects that explain most of the predicted part of the residuals, the best first."""
         lacking = [effect for effect in EFFECTS if effect.code not in self._fitted.included]
         found = [one for effect in lacking if (one := self._suspect(effect)) is not None and self._is_possible(one)]
         most = max((one.share for one in found), default=0.0)
@@ -170,7 +179,9 @@ class _Tests:
         return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
 
     def _is_possible(self, one: Suspect) -> bool:
-        """Return whether noise of the deflection is large enough to explain its share; True for other effects."""
+        """Return whether noise of the deflection is large enough to explain the residuals that it seems to explain;
+        True for other effects.
+        """
         if not one.effect.in_deflection:
             return True
         noise = self._fitted.values[0] ** 2 * float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
@@ -194,11 +205,10 @@ class _Tests:
         return best
 
     def _takes_spring(self, columns: Array, factor: float, moved: float) -> bool:
-        """Return whether a gap's column (n, 1) has the coefficient of a gap, about -Kc; moved: the relative change of
-        Kc.
+        """Return whether the fitted coefficient of a gap's column (n, 1) is that of a gap: about -Kc.
 
-        A spring that curves resembles a gap in which a part of the stiffness remains. A gap narrower than the columns
-        has a smaller coefficient.
+        factor: the coefficient. moved: the relative change of Kc with the gap. In a gap of a spring that curves, a part
+        of the stiffness remains. A gap narrower than the columns has a smaller coefficient.
         """
         stiffness = self._fitted.values[0] + moved * float(self._scale[0])
         if self._fitted.coupling is None:
@@ -217,11 +227,11 @@ class _Tests:
         return self._relative(np.asarray(moved))
 
     def _moved_by_noise(self) -> Array:
-        """Return the change of Kc and Bc (2,), SI, by noise in the deflection.
+        """Return the change of Kc and Bc (2,), SI, that removes the effect of noise in the deflection.
 
         The noise makes Kc too low. A delay by a fraction of the sampling period averages the noise, by up to a half
-        midway between two readings, and so biases a skew in that direction as far as its residuals allow; Bc changes by
-        Kc times the skew.
+        midway between two readings. It therefore biases a skew in that direction as far as the residuals of the skew
+        allow; Bc changes by Kc times the skew.
         """
         fitted, recorded = self._fitted, self._recorded
         stiffness, noise = fitted.values[0], float(np.var(reading_noise(recorded))) / NOISE_GAIN
@@ -236,13 +246,13 @@ class _Tests:
         return np.array([attenuated, stiffness * min(longest, drawn)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
-        """Return changes (2,) of Kc and Bc relative to their scale; 0 where the scale is zero."""
+        """Return changes (2,) of Kc and Bc relative to `_scale`; 0 where the scale is zero."""
         first, second = np.divide(changes, self._scale, out=np.zeros(2), where=self._scale > 0.0).tolist()
         return first, second
 
     @property
     def _scale(self) -> Array:
-        """Return what changes of Kc and Bc (2,) are relative to: the value, or half the interval if the value is
+        """Return the divisors (2,) for relative changes of Kc and Bc: the value, or half the interval if the value is
         zero.
         """
         values = np.abs(self._fitted.values)
@@ -257,9 +267,10 @@ class _Tests:
     def _sizes(
         self, respects: tuple[Respect, ...], suspects: tuple[Suspect, ...], torque: float, *, explained: bool
     ) -> Array:
-        """Return the size of the misfit in Kc and Bc (2,), relative, not negative. torque: predicted, N m r.m.s.
+        """Return the size of the misfit as relative changes of Kc and Bc (2,), not negative.
 
-        explained: whether the likeliest effect explains nearly all of it.
+        torque: the predicted torque, N m r.m.s. explained: whether the likeliest effect explains nearly all of that
+        torque.
         """
         if not any(one.fails for one in respects):
             return np.zeros(2)
@@ -292,7 +303,9 @@ class _Tests:
 
 
 def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
-    """Return at most about `_LIMIT` samples: every n-th one, then pieces spread over the recording."""
+    """Return a recording and its fit with at most about `_LIMIT` samples: every n-th sample, or pieces spread over the
+    recording.
+    """
     if len(recorded) <= _LIMIT:
         return recorded, fitted
     speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
@@ -324,7 +337,9 @@ def _apart(coupling: Array) -> Array:
 
 
 def _blanked(fitted: Fitted) -> Fitted:
-    """Return the fit with zeros at the samples that the model does not describe, so that they add nothing to sums."""
+    """Return the fit with zeros at the samples that the model does not describe, so that these samples add nothing to
+    sums.
+    """
     if fitted.kept is None:
         return fitted
     residuals = np.where(fitted.kept, fitted.residuals, 0.0)

@@ -1,4 +1,4 @@
-"""The result of the lack-of-fit tests: how the model is rejected, which effects explain it, and whether it is
+"""The result of the lack-of-fit tests: how the model is rejected, which effects explain the misfit, and whether it is
 relevant.
 """
 
@@ -33,9 +33,10 @@ _UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so 
 
 @dataclass(frozen=True, slots=True)
 class Respect:
-    """One test. p: its probability by chance, corrected for the number of tests.
+    """One lack-of-fit test.
 
-    Kc, Bc: by how much they differ between the two parts, relative; None if the test compares no parts.
+    code: the test's code. p: the probability of its result by chance, corrected for the number of tests. Kc, Bc: the
+    relative differences between the two compared parts; None if the test compares no parts.
     """
 
     code: str
@@ -52,7 +53,7 @@ class Respect:
 
 @dataclass(frozen=True, slots=True)
 class Suspect:
-    """An effect that the residuals look like. share: the fraction of the residuals' power that it explains.
+    """An effect that may explain the residuals. share: the fraction of the residuals' power that the effect explains.
 
     Kc, Bc: their relative change if the effect were in the model.
     """
@@ -65,7 +66,7 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True)
 class Lacking:
-    """What the model lacks of the dynamic stiffness in a band of mean frequency, Hz, relative to the whole."""
+    """The dynamic stiffness that the model lacks, relative to the whole, in a band of mean frequency, Hz."""
 
     frequency: float
     part: float
@@ -73,18 +74,19 @@ class Lacking:
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """The result of the tests.
+    """The result of the lack-of-fit tests.
 
-    share: the fraction of the residuals' power that is predicted in unseen blocks. predicted: its size, N m r.m.s.;
-    unexplained: the same relative to the torque's standard deviation. of_noise: whether noise of the deflection
-    explains the prediction. in_step: whether it does so only because rounding repeats with the motion; the size of the
-    misfit is then included in the intervals. Kc, Bc: the size of the misfit, relative: the largest change by a suspect,
-    or half the difference between parts; without either, the change that would give the predicted torque. outside:
-    whether that leaves the interval of Kc or Bc. at_zero: half the intervals of Kc and Bc, SI, if their values are
-    zero, to which changes are then relative; else 0. at_jumps: what the model lacks in the samples beside jumps of the
-    acceleration, to which it was not fitted; None if nothing relevant. An effect visible only there has no size in Kc
-    and Bc. correlation (l, 2): of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual,
-    N m, in cells of deflection (rows, rising) and rate (columns, rising) with equal counts; NaN in empty cells.
+    share: the fraction of the residuals' power that is predicted in unseen blocks. predicted: the predicted torque, N m
+    r.m.s. unexplained: the same torque relative to the torque's standard deviation. of_noise: whether noise of the
+    deflection explains the prediction. in_step: whether noise explains the prediction only because rounding repeats
+    with the motion; the size of the misfit is then included in the intervals. Kc, Bc: the size of the misfit, relative:
+    the largest change by a suspect, or half the difference between parts; without either, the change that would give
+    the predicted torque. outside: whether that change leaves the interval of Kc or Bc. at_zero: half the intervals of
+    Kc and Bc, SI, if their values are zero, because changes are then relative to these; else 0. at_jumps: the stiffness
+    that the model lacks in the samples beside jumps of the acceleration, to which it was not fitted; None if nothing
+    relevant. An effect visible only there has no size in Kc and Bc. correlation (l, 2): the correlation of the
+    residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in cells of deflection (rows,
+    rising) and rate (columns, rising) with equal numbers of samples; NaN in empty cells.
     """
 
     respects: tuple[Respect, ...]
@@ -108,10 +110,11 @@ class LackOfFit:
         """Return the result with `of_noise` set, from the growth of the prediction when the errors of the motion
         double.
 
-        added (k,): the growth of the predicted power, (N m)^2, in k simulations. With a wrong model the prediction does
-        not grow; with errors of the motion it does (Cook and Stefanski 1994). Where the motion rests or repeats, the
-        growth scatters. The scatter is allowed for unless Kc or Bc would be clearly wrong, and even then if the errors
-        are rounding to counts (counted) that adds far more at one place of the encoder's grid than at another.
+        added (k,): the growth of the predicted power, (N m)^2, in k simulations. If the model is wrong, the prediction
+        does not grow; if errors of the motion cause it, it does (Cook and Stefanski 1994). If the motion rests or
+        repeats, the growth scatters. The scatter is allowed for, unless Kc or Bc would be clearly wrong. Even then it
+        is allowed for if the errors are rounding to counts (`counted`) that adds far more power at one position in the
+        encoder's grid than at another.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
@@ -123,22 +126,28 @@ class LackOfFit:
         return replace(self, of_noise=in_step, in_step=in_step)
 
     def _is_explained(self, added: float) -> bool:
-        """Return whether errors that add this power, (N m)^2, when doubled explain the prediction."""
+        """Return whether errors of the motion explain the prediction. added: the power, (N m)^2, that they add when
+        doubled.
+        """
         left = self.predicted**2 - added / _AGAIN
         return left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
-        """Return whether errors that add this power, (N m)^2, when doubled explain almost nothing of it."""
+        """Return whether errors of the motion explain almost nothing of the prediction. added: the power, (N m)^2, that
+        they add when doubled.
+        """
         return self.share > 0.0 and added < _NEXT_TO_NOTHING * self.predicted**2
 
     @property
     def affected(self) -> str | None:
-        """Return the one parameter, Kc or Bc, that is wrong by a relevant amount; None if both are, or neither."""
+        """Return the parameter, Kc or Bc, that the misfit changes by a relevant amount; None if both change, or
+        neither.
+        """
         return self._grave[0] if len(self._grave) == 1 and not self.is_of_another_joint else None
 
     @property
     def is_grave(self) -> bool:
-        """Return whether Kc or Bc would leave its interval by a relevant amount: 0.5 % of Kc or 3 % of Bc.
+        """Return whether the misfit moves Kc or Bc out of its interval by a relevant amount: 0.5 % of Kc or 3 % of Bc.
 
         True also for the model of another joint, whose intervals have no meaning.
         """
@@ -160,12 +169,18 @@ class LackOfFit:
         return [name for name, size, most in sizes if size > most]
 
     def _limits(self, relative: tuple[float, float]) -> tuple[float, float]:
-        """Return limits for Kc and Bc, relative; for a value of zero, half its interval."""
+        """Return the largest relative changes of Kc and Bc that are not relevant; for a value of zero, relative to half
+        its interval.
+
+        relative: the limits relative to the values.
+        """
         first, second = (1.0 if half > 0.0 else most for most, half in zip(relative, self.at_zero, strict=True))
         return first, second
 
     def change(self, of: int, size: float) -> float:
-        """Return a relative change of Kc (0) or Bc (1) in SI if its value is zero; else NaN."""
+        """Return a relative change `size` of Kc (of = 0) or Bc (of = 1) in SI units if the parameter's value is zero;
+        else NaN.
+        """
         return size * self.at_zero[of] if self.at_zero[of] > 0.0 else math.nan
 
     @property
@@ -175,7 +190,7 @@ class LackOfFit:
 
     @property
     def misfit(self) -> bool:
-        """Return whether the model is rejected, by a relevant amount.
+        """Return whether the model is rejected, and its misfit is relevant.
 
         True also for the model of another joint, whatever the tests say.
         """
@@ -191,33 +206,34 @@ class LackOfFit:
 
     @property
     def is_undecided(self) -> bool:
-        """Return whether no test rejects the model although its residuals are predictable: too few independent
-        samples.
+        """Return whether no test rejects the model although its residuals are predictable, because there are too few
+        independent samples.
         """
         return not self.failed and not self.misfit and self.share >= _PLAIN
 
     @property
     def in_intervals(self) -> tuple[float, float]:
-        """Return by how much, relative, the intervals of Kc and Bc grow because of the misfit."""
+        """Return the relative amounts by which the intervals of Kc and Bc grow because of the misfit."""
         return (self.Kc, self.Bc) if self.misfit or self.in_step or self._is_small or self._is_vague else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:
-        """Return whether the misfit is below the accuracy of real sensors, in Kc and Bc or in the torque."""
+        """Return whether the misfit is smaller than the errors of real sensors, in Kc and Bc or in the torque."""
         first, second = self._limits(_SMALL)
         return (self.Kc <= first and self.Bc <= second) or self.unexplained <= _ACCURATE
 
     @property
     def _is_vague(self) -> bool:
-        """Return whether almost nothing is predicted, and no effect and no two parts show that it moves Kc or Bc.
+        """Return whether almost nothing is predicted, and no effect and no difference between parts shows a change of
+        Kc or Bc.
 
-        Its size is then the largest change that so much torque could cause; it is added to the intervals, without a
-        warning.
+        The size of the misfit is then the largest change that so much torque could cause; it is added to the intervals,
+        without a warning.
         """
         vague = not self.suspects and all(one.Kc is None for one in self.failed)
         return bool(self.failed) and not self.of_noise and self.share < _SHARE and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:
-        """Return whether it is noise in the deflection that changes neither Kc nor Bc by a relevant amount."""
+        """Return whether the misfit is noise of the deflection that changes neither Kc nor Bc by a relevant amount."""
         return bool(self.suspects) and self.suspects[0].effect.in_deflection and not self._grave

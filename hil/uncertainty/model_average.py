@@ -1,13 +1,13 @@
 """Average over models that the data cannot decide between: estimates and errors that include the choice of model.
 
-All models are contained in the largest one. Leaving some of its parameters out moves the others according to the
-sampling covariance, to first order, and lowers the likelihood by their Wald statistic (Hjort and Claeskens 2003), so
-one fit gives every model. The variance of the average is the mean of the models' variances plus that of their estimates
-(Buckland, Burnham and Augustin 1997; Burnham and Anderson 2004).
+All models are contained in the largest one. If some parameters of the largest model are left out, the others change as
+the sampling covariance says, to first order, and the likelihood falls by the Wald statistic of the omitted parameters
+(Hjort and Claeskens 2003), so one fit gives every model. The variance of the average is the mean of the models'
+variances plus the variance of their estimates (Buckland, Burnham and Augustin 1997; Burnham and Anderson 2004).
 
-In the value, a parameter is weighted by its odds in model selection. With the weights of Akaike's criterion the value
-would follow noise that resembles a rare parameter. But a small one may exist, and the interval must include its effect:
-the variance is about that value, with the weights of Akaike's criterion.
+For the averaged value, a parameter is weighted by its odds in model selection. With the weights of Akaike's criterion
+the value would follow noise that resembles a rare parameter. But a small rare effect may exist, and the interval must
+include it: therefore the variance about the averaged value uses the weights of Akaike's criterion.
 """
 
 from __future__ import annotations
@@ -24,21 +24,23 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 AKAIKE: Final = 2.0
-"""The cost of a parameter in Akaike's criterion, for one that most benches have."""
+"""The cost of a parameter in Akaike's criterion if most benches have the parameter."""
 
 SELDOM: Final = 2.0 * math.log(10.0)
-"""The additional cost of a parameter that one joint in ten has."""
+"""The additional cost of a parameter that only one joint in ten has."""
 
 _FAR: Final = -20.0
-"""Standard deviations below zero from which the positive part of a normal distribution is only its tail."""
+"""The distance below zero, in standard deviations, from which the positive part of a normal distribution is only its
+tail.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Average:
     """The averages of the parameters (p,) and their standard errors (p,), in their units.
 
-    left_out: for each model the indices of the parameters that it lacks. weights: of the models for the values, of sum
-    one.
+    left_out: for each model the indices of the parameters that it lacks. weights: the weights of the models for the
+    values, of sum one.
     """
 
     values: Array
@@ -57,14 +59,15 @@ def average(
     bounded: Sequence[int] = (),
     seldom: Sequence[int] = (),
 ) -> Average | None:
-    """Return the average over all models with and without the doubtful parameters; None if none is possible.
+    """Return the average over all models with and without the doubtful parameters; None if no model is possible.
 
-    values (p,) and covariance (p, p): of the model with all of them. costs: for each doubtful parameter, by index, how
-    much it must raise twice the log likelihood for a model with it to be as likely as one without. positive: parameters
-    whose negative estimate makes a model impossible. likely (2, p): the expected value of each parameter and its
-    standard deviation, infinite if nothing is known; it decides where the data say less (ridge regression). bounded:
-    parameters of every model that are set to zero if their estimate is negative, with the variance that they have
-    without that bound. seldom: doubtful parameters whose cost also applies to the interval.
+    values (p,) and covariance (p, p): of the model with all parameters. costs: for each doubtful parameter, by index,
+    how much the parameter must raise twice the log likelihood for a model with it to be as likely as a model without
+    it. positive: indices of parameters whose negative estimate makes a model impossible. likely (2, p): the expected
+    value of each parameter and its standard deviation, infinite if nothing is known; the expected value has the more
+    weight the less the data determine the parameter (ridge regression). bounded: parameters of every model that are set
+    to zero if their estimate is negative, with the variance that they have without that bound. seldom: doubtful
+    parameters whose cost also applies to the interval.
     """
     variance = np.diag(covariance)  # negative by rounding: nearly dependent columns
     if not (np.isfinite(variance).all() and (variance > 0.0).all()):
@@ -90,11 +93,13 @@ def average(
 
 
 def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[Array, Array, float]:
-    """Integrate over the last parameter: return values (p - 1,) and covariance (p - 1, p - 1) of the others.
+    """Integrate over the last parameter: return values (p - 1,) and covariance (p - 1, p - 1) of the others, and a
+    change of criterion.
 
-    likely (2, p): see `average`; the last parameter is expected around zero and is not negative, so its distribution is
-    the positive part of a normal one, here with its mean and variance. Also returned is Akaike's criterion with it less
-    that without, which counts as far as the data, and not its expected size, determine it.
+    likely (2, p): see `average`. The last parameter is expected around zero and cannot be negative, so its distribution
+    is the positive part of a normal distribution, represented by its mean and variance. The last result is Akaike's
+    criterion with the parameter less that without. Its penalty is weighted by how far the data, and not the expected
+    size, determine the parameter.
     """
     size = np.sqrt(np.diag(covariance))
     values, covariance = _penalised(
@@ -113,7 +118,7 @@ def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[A
 
 
 def _positive_part(centre: float) -> tuple[float, float]:
-    """Return mean and standard deviation of the positive part of a normal distribution around `centre`, standard
+    """Return mean and standard deviation of the positive part of a normal distribution with mean `centre` and standard
     deviation one.
     """
     if centre < _FAR:  # the tail of an exponential distribution, by its first term
@@ -123,8 +128,10 @@ def _positive_part(centre: float) -> tuple[float, float]:
 
 
 def _weights(falls: Array, left_out: Sequence[Sequence[int]], costs: Mapping[int, float]) -> Array:
-    """Return the weights (m,) of models, of sum one, from the fall of twice their log likelihood and the costs
-    saved.
+    """Return the weights (m,) of m models, of sum one.
+
+    falls (m,): how much twice the log likelihood of each model is below that of the largest. left_out: the parameters
+    that each model lacks. costs: the cost that a model without a parameter saves.
     """
     criteria = falls - np.array([sum(costs[at] for at in one) for one in left_out])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
@@ -132,8 +139,9 @@ def _weights(falls: Array, left_out: Sequence[Sequence[int]], costs: Mapping[int
 
 
 def _penalised(values: Array, covariance: Array, centres: Array, precision: Array) -> tuple[Array, Array]:
-    """Return values (p,) and covariance (p, p) after a penalty on the distance from centres (p,), of precisions
-    (p,).
+    """Return values (p,) and covariance (p, p) after adding a quadratic penalty.
+
+    centres (p,): the values without penalty. precision (p,): the weight of the penalty, the inverse of a variance.
     """
     known = np.flatnonzero(precision > 0.0)
     if not known.size:
@@ -146,7 +154,7 @@ def _penalised(values: Array, covariance: Array, centres: Array, precision: Arra
 def _bounded(
     values: Array, covariance: Array, left_out: list[int], bounded: Sequence[int]
 ) -> tuple[Array, Array, float]:
-    """Return `_without` for some parameters; the bounded ones that would be negative are set to zero."""
+    """Return `_without` for some left-out parameters; bounded parameters that would be negative are set to zero."""
     estimates, variances, fall = _without(values, covariance, left_out)
     at_zero = list(left_out)
     while below := [at for at in bounded if estimates[at] < 0.0 and at not in at_zero]:
@@ -157,8 +165,8 @@ def _bounded(
 
 
 def _without(values: Array, covariance: Array, left_out: list[int]) -> tuple[Array, Array, float]:
-    """Return values (p,) and variances (p,) of the model without some parameters, and the fall of twice its log
-    likelihood.
+    """Return values (p,) and variances (p,) of the model without the parameters `left_out`, and the fall of twice its
+    log likelihood.
     """
     block = covariance[np.ix_(left_out, left_out)]
     gain = np.linalg.solve(block, covariance[left_out]).T

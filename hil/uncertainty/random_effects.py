@@ -1,12 +1,12 @@
-"""Several measurements of one quantity: the variance within each, the variance between them, and the drift.
+"""Pool several measurements of one quantity: the variance within each, the variance between them, and the drift.
 
 The model is value_i = x_i . beta + u_i + e_i. e_i has the known standard error of measurement i (within). u_i has one
 unknown standard deviation for all and changes from one measurement to the next (between), as when the cable is laid
-anew or the room's temperature changes. The between variance is that of Paule and Mandel (1982): it makes the weighted
-sum of squares equal to its degrees of freedom. Intervals are those of Hartung and Knapp (2001) with Student's quantile,
-because a normal quantile covers far too little with a handful of recordings. They are never narrower than the
-measurements' own errors allow, because two recordings may agree by luck. docs/data.md has the outcome of the study that
-chose them.
+anew or the room's temperature changes. The between variance is that of Paule and Mandel (1982): with it the weighted
+sum of squares equals its degrees of freedom. Intervals are those of Hartung and Knapp (2001) with Student's quantile,
+because with a handful of recordings an interval with a normal quantile contains the true value far too seldom. They are
+never narrower than the measurements' own errors allow, because two recordings may agree by luck. docs/data.md has the
+outcome of the study that chose these methods.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _ROUNDING = 1e-14
 class Pooled:
     """The common value of m measurements, in their unit, with its standard error and 95 % interval.
 
-    within: the measurements' own standard error (root mean square). between: the standard deviation between them;
-    between_ci95: its 95 % interval, whose lower end is 0 if it is not significant. p_alike: the probability of
-    values at least this far apart if the standard deviation between them were zero.
+    within: the root mean square of the measurements' standard errors. between: the standard deviation between the
+    measurements. between_ci95: the 95 % interval of `between`, whose lower end is 0 if it is not significant. p_alike:
+    the probability of values at least this far apart if the standard deviation between them were zero.
     """
 
     value: float
@@ -44,7 +44,9 @@ class Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """A slope in time: unit of the values per unit of the times; p: the probability of such a slope by chance."""
+    """A slope over time, in the unit of the values per unit of the times, with its interval. p: the probability of such
+    a slope by chance.
+    """
 
     slope: float
     ci95: tuple[float, float]
@@ -52,7 +54,7 @@ class Drift:
 
 
 def between(values: Array, standard_errors: Array) -> Pooled:
-    """Pool measurements (m,) with their own standard errors (m,), m at least 2.
+    """Pool m measurements, at least 2, with their standard errors (m,).
 
     Raises ValueError for fewer than two, for unequal lengths, and for errors that are not finite and above zero.
     """
@@ -75,10 +77,11 @@ def between(values: Array, standard_errors: Array) -> Pooled:
 
 
 def is_outside(value: float, values: Array, standard_error: float) -> bool:
-    """Return whether a measurement is outside the 99 % prediction interval of others (m,), m at least 2.
+    """Return whether a measurement is outside the 99 % prediction interval of m others, at least 2.
 
-    standard_error: of each alone. The others may differ among themselves; a measurement that differs by as much is not
-    outside. Raises ValueError as `between`.
+    value: the measurement. values (m,): the others. standard_error: the standard error of each measurement. If the
+    others differ among themselves, a measurement that differs from them by as much is not outside. Raises ValueError as
+    `between`.
     """
     from scipy.special import stdtrit
 
@@ -111,8 +114,8 @@ def drift(times: Array, values: Array, standard_errors: Array) -> Drift:
 class _Fit:
     """The coefficients beta (p,), and the half width of their 95 % intervals (p,).
 
-    by_residuals, by_errors: standard errors (p,) from the residuals, and from the measurements' own errors alone.
-    variance: between the measurements. freedom: degrees of freedom.
+    by_residuals: standard errors (p,) from the residuals. by_errors: standard errors (p,) from the measurements' own
+    errors alone. variance: the variance between the measurements. freedom: the degrees of freedom.
     """
 
     beta: Array
@@ -147,9 +150,9 @@ def _fit(design: Array, values: Array, errors: Array) -> _Fit:
 
 
 def _weighted_squares(design: Array, values: Array, variances: Array) -> tuple[float, float]:
-    """Return the sum of squares about the best fit, each measurement weighted by its variance (m,), and its derivative.
+    """Return the sum of squares about the best fit, weighted by the inverse of the variances (m,), and its derivative.
 
-    The derivative is that by a common addition to all variances, with the sign reversed.
+    The derivative is that with respect to a common addition to all variances, with the sign reversed.
     """
     root = 1.0 / np.sqrt(variances)
     beta = np.linalg.lstsq(design * root[:, None], values * root, rcond=None)[0]
@@ -158,9 +161,10 @@ def _weighted_squares(design: Array, values: Array, variances: Array) -> tuple[f
 
 
 def _variance_where(design: Array, values: Array, errors: Array, squares: float) -> float:
-    """Return the between variance at which the weighted sum of squares equals `squares`; 0 if there is none.
+    """Return the between variance at which the weighted sum of squares equals `squares`; 0 if no variance gives that
+    sum.
 
-    The sum falls with the variance and is convex, so Newton's steps from 0 never overshoot.
+    The sum falls with the variance and is convex, so Newton's method from 0 never overshoots.
     """
     variance = 0.0
     for _ in range(_STEPS):
@@ -172,8 +176,9 @@ def _variance_where(design: Array, values: Array, errors: Array, squares: float)
 
 
 def _between_interval(design: Array, values: Array, errors: Array, freedom: int) -> tuple[float, float]:
-    """Return the Q-profile interval of Viechtbauer (2007): variances whose sum of squares is within chi-squared
-    quantiles.
+    """Return the Q-profile interval of the between variance by Viechtbauer (2007).
+
+    It contains the variances whose weighted sum of squares lies between two chi-squared quantiles.
     """
     from scipy.special import chdtri
 

@@ -1,6 +1,4 @@
-"""Regressors that residuals are compared with, parts of the samples to compare, and the plane of deflection and
-rate.
-"""
+"""Regressors for the lack-of-fit tests, the parts of a recording to compare, and the plane of deflection and rate."""
 
 from __future__ import annotations
 
@@ -35,12 +33,13 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "any": "the motion predicts the residuals",
     }
 )
-"""The respects in which a model is tested, by their codes."""
+"""The respects in which a model is tested: a description for each code."""
 
 
 def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
-    """Return the parts between which Kc and Bc are compared: weights (n,) of one part, or the frequency, Hz, that
-    splits the band.
+    """Return the parts of the recording between which Kc and Bc are compared, each with its code.
+
+    A part is given as weights (n,) of the samples, or as the frequency, Hz, that splits the band into two parts.
     """
     angle, rate = recorded.centred(), recorded.rate
     speed = float(np.sqrt(np.mean(rate**2) / np.mean(angle**2)))  # rad/s
@@ -87,7 +86,7 @@ def _in_time(recorded: Recorded, x: Array, v: Array) -> Array:
 
 
 def mean_over_plane(recorded: Recorded, residuals: Array) -> Array:
-    """Return the mean residual, N m, in cells of deflection (rows) and rate (columns), NaN in empty ones."""
+    """Return the mean residual, N m, in cells of deflection (rows) and rate (columns); NaN in empty cells."""
     at = []
     for values in (recorded.deflection, recorded.rate):
         edges = np.quantile(values, np.linspace(0.0, 1.0, _CELLS + 1)[1:-1])

@@ -1,15 +1,17 @@
-"""Autocorrelated residuals: the power of their signs in bands of frequency, and the covariance of estimates from it.
+"""Measure how residuals are correlated in time: the power of their signs in bands, and the resulting covariance of
+estimates.
 
 The sum of x sign(e) of a median regression has the covariance sum over s, t of x_s x_t' E[sign(e_s) sign(e_t)]. By
 Parseval's theorem that is the cross-spectrum of the columns weighted with the power spectrum of the signs (Hannan 1963
 for least squares). The power is estimated from all residuals, wherever a column is large. Blocks in time, the usual
-way, are too few where a column is large in only a few of them, as that of a skew is at the fast end of a chirp.
+way, are too few if a column is large in only a few of them, as the column of a skew is at the fast end of a chirp.
 
-A fit removes the part of the noise that its own columns can explain, mostly where they have their power: an offset and
-a drift from the lowest band. The remaining power there comes from fewer lines than the band has.
+A fit removes the part of the noise that its own columns can explain, mostly in the bands in which the columns have
+their power: an offset and a drift remove it from the lowest band. The remaining power there comes from fewer lines than
+the band has.
 
 If the zero of the torque drifts randomly, the power rises towards low frequencies, also within the lowest band. The
-slope is taken from the power of the next band.
+slope within that band is estimated from the power of the next band.
 """
 
 from __future__ import annotations
@@ -34,12 +36,13 @@ _STEPS = np.log(_SHAPES.mean(axis=1) / np.mean(_NEXT ** -_FALLS[:, None], axis=1
 
 @dataclass(frozen=True, eq=False)
 class ResidualSpectrum:
-    """The spectrum in bands of rising frequency (b,).
+    """The spectrum of the residuals' signs in b bands of rising frequency.
 
-    lines: the number of lines in each. power: mean square of the signs in each, 1 if uncorrelated. crossed (b, p, p):
-    the columns' products, which add up to columns^T columns. fitted (b,): lines that a fit of these signs has removed
-    from each. slowest (k, p, p): the products of the lowest band, by line. A power below one counts as one: it is
-    chance, or the result of a fit with other columns.
+    lines (b,): the number of spectral lines in each band. power (b,): mean square of the signs in each band, 1 if they
+    are uncorrelated. crossed (b, p, p): the columns' products in each band, whose sum is columns^T columns. fitted
+    (b,): the number of lines that a fit of these signs has removed from each band. slowest (k, p, p): the products of
+    the k lines of the lowest band. A power below one is replaced by one, because it is chance, or the result of a fit
+    with other columns.
     """
 
     lines: Array
@@ -50,7 +53,9 @@ class ResidualSpectrum:
 
     @property
     def _left(self) -> Array:
-        """Return the remaining lines of each band, at least half of them: its power is known no better than that."""
+        """Return the lines that remain in each band after the fit, at least half of all: the band's power is known no
+        better than that.
+        """
         return np.asarray(np.maximum(self.lines - self.fitted, 0.5 * self.lines))
 
     @property
@@ -60,7 +65,7 @@ class ResidualSpectrum:
 
     @property
     def by_bands(self) -> Array:
-        """Return the same covariance with equal weights for all lines of the lowest band."""
+        """Return the same covariance as `covariance`, but with equal weights for all lines of the lowest band."""
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
 
     @property
@@ -69,11 +74,11 @@ class ResidualSpectrum:
 
     @property
     def _weighted(self) -> Array:
-        """Return the columns' products (b, p, p); those of the lowest band are weighted by each line's power over the
-        band's.
+        """Return the columns' products (b, p, p); those of the lowest band are weighted by each line's power divided by
+        the band's.
 
         No weight is below one: motion that is slow only in a part of the recording meets other noise. The slope of the
-        power has a chance error, which one standard error of its logarithm allows for.
+        power has a chance error, so one standard error of its logarithm is added.
         """
         if len(self.slowest) < _FEWEST:
             return self.crossed
@@ -83,7 +88,9 @@ class ResidualSpectrum:
         return np.concatenate([np.einsum("k,kpq->pq", weights, self.slowest)[None], self.crossed[1:]])
 
     def freedom(self, bread: Array) -> Array:
-        """Return the degrees of freedom (p,) of the variances bread . covariance . bread (Satterthwaite 1946)."""
+        """Return the degrees of freedom (p,) of the variances on the diagonal of bread . covariance . bread
+        (Satterthwaite 1946).
+        """
         parts = np.einsum("b,kp,bpq,qk->kb", self._counted, bread, self._weighted, bread)
         # in parts of the largest: of a parameter that nothing shows, the square would overflow
         parts /= np.maximum(np.abs(parts).max(axis=1, keepdims=True), np.finfo(float).tiny)
@@ -92,9 +99,9 @@ class ResidualSpectrum:
 
 
 def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
-    """Return the spectrum of signs (m,) and columns (m, p), in blocks of any length, in the order of time.
+    """Return the spectrum of signs (m,) with columns (m, p), read in blocks of any length, in the order of time.
 
-    The signs are taken as those of a fit with these columns.
+    The signs must be those of a fit with these columns.
     """
     edges, lines, power, crossed, slow = np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0), 1
     for columns, signs in _segments(blocks):
@@ -119,8 +126,9 @@ def measure(blocks: Iterable[tuple[Array, Array]]) -> ResidualSpectrum:
 
 
 def _fitted(crossed: Array) -> Array:
-    """Return how many lines (b,) a fit removes from each band: half the trace of its projection there, two numbers a
-    line.
+    """Return the number of lines (b,) that a fit removes from each band.
+
+    It is half the trace of the fit's projection in the band, because a line has two numbers.
     """
     gram = crossed.sum(axis=0)
     sizes = np.sqrt(np.diag(gram))
@@ -130,10 +138,10 @@ def _fitted(crossed: Array) -> Array:
 
 
 def _edges(count: int) -> tuple[Array, int]:
-    """Return the lower ends of the lines of the lowest band and of the other bands, cycles a sample, and the number of
-    lines.
+    """Return the lower ends, cycles per sample, of the lines of the lowest band and of the other bands, and the number
+    of those lines.
 
-    count: samples of a segment. With a single band, that band is given in place of its lines.
+    count: samples of a segment. If there is only one band, its lower end is returned in place of those of its lines.
     """
     starts, last = [0], count // 2 + 1
     while (following := starts[-1] + max(_FEWEST, int(_WIDENING * starts[-1]))) <= last - _FEWEST:
@@ -143,7 +151,7 @@ def _edges(count: int) -> tuple[Array, int]:
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:
-    """Yield the rows in segments of `_LONGEST`, the last one shorter."""
+    """Yield the rows in segments of `_LONGEST` rows; the last segment may be shorter."""
     waiting: list[tuple[Array, Array]] = []
     for block in blocks:
         waiting.append(block)

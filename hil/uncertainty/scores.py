@@ -1,4 +1,4 @@
-"""Scores of features that a model lacks: their probability by chance, from random signs of blocks, and their
+"""Compute scores of features that a model lacks: their probability by chance, from random signs of blocks, and their
 prediction.
 """
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 FEWEST: Final = 16
 SHORTEST: Final = 25
-"""The smallest number of blocks, and of samples in one."""
+"""The smallest number of blocks, and the smallest number of samples in a block."""
 
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _GROSS: Final = 10.0  # the same where the size of an effect is estimated
@@ -27,11 +27,11 @@ _DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be
 
 
 class Scores:
-    """The residuals of a fit, against which features are tested.
+    """The residuals of a fit, with which features are compared.
 
-    scores (n,): N m, the residuals with outliers clipped. residuals (n,): N m, with only gross outliers clipped, for
-    the sizes of effects. Both are orthogonal to the model's columns, and zero at samples that the model does not
-    describe.
+    scores (n,): the residuals with outliers clipped, N m. residuals (n,): the residuals with only gross outliers
+    clipped, N m, for the sizes of effects. Both are orthogonal to the model's columns, and zero at samples that the
+    model does not describe.
     """
 
     def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
@@ -41,7 +41,9 @@ class Scores:
 
     @cached_property
     def residuals(self) -> Array:
-        """Return the residuals (n,), N m, with only gross outliers clipped; a prediction does not need them."""
+        """Return the residuals (n,), N m, with only gross outliers clipped. They are computed at the first use, because
+        a prediction does not need them.
+        """
         return _clipped(self._left, self._basis, self._kept[:, 0], _GROSS)
 
     @cached_property
@@ -54,7 +56,7 @@ class Scores:
         return np.asarray(np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0)
 
     def new(self, features: Array) -> Array:
-        """Return the part of features (n, k) that is orthogonal to the model's columns, each of mean square one.
+        """Return the part of features (n, k) that is orthogonal to the model's columns, scaled to mean square one.
 
         Features without such a part are left out.
         """
@@ -70,7 +72,7 @@ class Scores:
         return np.asarray(kept - self._basis @ (self._basis.T @ kept))
 
     def chance(self, features: Array) -> float:
-        """Return the probability of scores of features (n, k) this large by chance."""
+        """Return the probability that features (n, k) have scores this large by chance."""
         if not features.shape[1]:
             return 1.0
         sums = np.add.reduceat(features * self.scores[:, None], self._firsts, axis=0)
@@ -81,7 +83,9 @@ class Scores:
         return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
 
     def predicted(self, features: Array) -> tuple[float, float]:
-        """Return the fraction of the power that is predicted in unseen blocks, 0 to 1, and its size, N m r.m.s."""
+        """Return the fraction, 0 to 1, of the residuals' power that features (n, k) predict in unseen blocks, and the
+        size of that part, N m r.m.s.
+        """
         fold = np.arange(len(features)) * _FOLDS // len(features)
         parts = [(features[fold == k], self.scores[fold == k]) for k in range(_FOLDS)]
         grams = np.array([part.T @ part for part, _ in parts])
@@ -106,8 +110,10 @@ def _basis(columns: Array) -> Array:
 
 
 def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at: float) -> Array:
-    """Return the residuals (n,), N m, of Huber's (1964) estimate, which outliers hardly affect: clipped, orthogonal to
-    the basis.
+    """Return the residuals (n,), N m, of Huber's (1964) estimate, which outliers hardly affect: clipped, and orthogonal
+    to the basis.
+
+    kept (n, 1): the samples that the model describes. clipped_at: the limit in standard deviations.
     """
     left = residuals
     for _ in range(4):
@@ -120,7 +126,9 @@ def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at
 
 
 def _spread(residuals: Array) -> float:
-    """Return the standard deviation of residuals, N m, robust to outliers unless more than half of them are zero."""
+    """Return the standard deviation of residuals, N m, robust to outliers unless more than half of the residuals are
+    zero.
+    """
     return 1.4826 * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 

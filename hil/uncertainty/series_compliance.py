@@ -1,14 +1,14 @@
-"""The coupling of a joint whose fixture is not rigid, from its own recording and an empty-rig recording.
+"""Compute the coupling of a joint whose fixture is not rigid, from its own recording and an empty-rig recording.
 
 Coupling and fixture carry the same torque, and their deflections add: 1/Z_measured = 1/Z_coupling + 1/Z_fixture, each Z
 = K + j w B. At rest that is 1/K_measured = 1/Kc + 1/K_fixture, and for slow motion B_measured/K_measured^2 = Bc/Kc^2 +
 B_fixture/K_fixture^2. But two such elements in series are not a single spring and damper: their stiffness rises with
-frequency, and a fit of K and B depends on the excitation. `series` is that fit, by least squares over the spectrum of
-the deflection; `corrected` finds the coupling for which it gives the measured K and B. The closed forms above are its
-limit if 2 pi f B/K is small for both. Over the paper's band, up to its joint's corner at 15 Hz, they are wrong by a
-third of the correction.
+frequency, and a fit of K and B depends on the excitation. The function `series` makes that fit, by least squares over
+the spectrum of the deflection; `corrected` finds the coupling for which the fit gives the measured K and B. The closed
+forms above are the limit if 2 pi f B/K is small for both elements. Over the paper's band, up to its joint's corner at
+15 Hz, they are wrong by a third of the correction.
 
-The correction holds while the joint's own inertia, between the two springs, carries little of the torque: well below
+The correction is valid while the joint's own inertia, between the two springs, carries little of the torque: well below
 sqrt((Kc + K_fixture)/J)/(2 pi).
 """
 
@@ -40,7 +40,9 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """The excitation: frequency (n,) Hz, and the deflection's power there (n,), in any unit."""
+    """The excitation of a recording. frequency (n,): Hz. power (n,): the deflection's power at these frequencies, in
+    any unit.
+    """
 
     frequency: Array
     power: Array
@@ -67,9 +69,10 @@ class Excitation:
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:
     """Return the coupling alone, with the errors of both recordings propagated to first order.
 
-    measured: from the recording of the joint. fixture: from the empty-rig recording. excitation: of the recording of
-    the joint. If a damping is not identifiable, its error is infinite, and so is that of the coupling's damping. Raises
-    Untrustworthy if the fixture is softer than the coupling, or if both together have no stiffness.
+    measured: stiffness and damping from the recording of the joint. fixture: those from the empty-rig recording.
+    excitation: the excitation of the joint's recording. If a damping is not identifiable, its error is infinite, and so
+    is that of the coupling's damping. Raises Untrustworthy if the fixture is softer than the coupling, or if both
+    together have no stiffness.
     """
     _refuse_soft(measured, fixture)
     target = np.array([measured.stiffness, measured.damping])
@@ -88,7 +91,9 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
 
 
 def series(first: Array, second: Array, excitation: Excitation) -> Array:
-    """Return K and B (2,), fitted by least squares over the excitation to two elements (2,) in series."""
+    """Return K and B (2,) of the spring and damper that fits two elements (2,) in series, by least squares over the
+    excitation.
+    """
     omega = 2.0 * np.pi * excitation.frequency
     one, other = (element[0] + 1j * omega * element[1] for element in (first, second))
     together = one * other / (one + other)
@@ -97,14 +102,16 @@ def series(first: Array, second: Array, excitation: Excitation) -> Array:
 
 
 def _closed_form(target: Array, held: Array) -> Array:
-    """Return the coupling in the limit of slow motion."""
+    """Return K and B of the coupling in the limit of slow motion. target: K and B measured; held: K and B of the
+    fixture.
+    """
     stiffness = 1.0 / (1.0 / target[0] - 1.0 / held[0])
     damping = stiffness**2 * (target[1] / target[0] ** 2 - held[1] / held[0] ** 2)
     return np.array([stiffness, damping])
 
 
 def _jacobian(first: Array, second: Array, excitation: Excitation) -> Array:
-    """The derivative (2, 2) of `series` with respect to the first element: (Z2/(Z1 + Z2))^2 times dZ1."""
+    """Return the derivative (2, 2) of `series` with respect to the first element: (Z2/(Z1 + Z2))^2 times dZ1."""
     omega = 2.0 * np.pi * excitation.frequency
     one, other = (element[0] + 1j * omega * element[1] for element in (first, second))
     share = (other / (one + other)) ** 2

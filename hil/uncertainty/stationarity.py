@@ -1,4 +1,4 @@
-"""Whether the parameters are constant: during one recording, and from one pooled recording to the next."""
+"""Check whether the parameters are constant: during one recording, and from one pooled recording to the next."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _PRECISE = 0.2  # half the width of a part's interval over its value, above whic
 
 @dataclass(frozen=True, slots=True)
 class VarianceComponents:
-    """Standard deviations of one parameter, in its unit: within a recording (its standard error), and between
-    recordings.
+    """The scatter of one parameter, in its unit. within: its standard error in a recording. between: its standard
+    deviation between recordings.
 
-    values: of each recording alone, NaN if it cannot be estimated. p_alike: the probability of values this far apart if
-    the recordings did not differ.
+    values: the estimate of each recording alone, NaN if the recording cannot estimate the parameter. p_alike: the
+    probability of values this far apart if the recordings did not differ.
     """
 
     within: float
@@ -72,10 +72,11 @@ def pooled_intervals(
 def disagreement(
     names: Sequence[str], components: Sequence[VarianceComponents | None], paths: Sequence[Path]
 ) -> list[Diagnostic]:
-    """Return a diagnostic that names the recording that differs most from the others, if they differ in Kc or Bc.
+    """Return a diagnostic that names the recording that differs most from the others; [] if they differ neither in Kc
+    nor in Bc.
 
-    It is an error if that recording lies outside the prediction from the others, which may differ too. names (p,) and
-    components (p,): of the parameters. paths (m,): of the recordings.
+    The diagnostic is an error if that recording lies outside the prediction interval of the others, which may differ
+    too. names (p,): the parameters. components (p,): their variance components. paths (m,): the recordings.
     """
     found = []
     for name, one in zip(names, components, strict=True):
@@ -105,7 +106,8 @@ def other_zeros(
 ) -> list[Diagnostic]:
     """Return a warning that names the recording whose torque at rest differs most from that of the others.
 
-    Arguments as for `disagreement`. error: mean |error| of the fit, N m; half of it is a relevant difference.
+    names, components, paths: as for `disagreement`. error: mean |error| of the fit, N m; a difference of half of it is
+    relevant.
     """
     one = dict(zip(names, components, strict=True)).get("tau0")
     if one is None or not _differ(one):
@@ -124,9 +126,10 @@ def other_zeros(
 
 
 def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:
-    """Return an error for each recording with two quarters whose Kc differ by more than a factor of three.
+    """Return an error for each recording in which Kc of two quarters differs by more than a factor of three.
 
-    blocks: the linear problem around the solution. edges: the row at which each recording ends. kc: the column of Kc.
+    blocks: the linear problem around the solution. edges: the row at which each recording ends. kc: the index of the
+    column of Kc.
     """
     found = []
     for first, last in pairwise((0, *edges)):
@@ -147,19 +150,23 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
 
 
 def _differ(one: VarianceComponents) -> bool:
-    """Return whether the recordings are further apart than equal ones would be by chance."""
+    """Return whether the values of the recordings are further apart than chance explains. one: the variance
+    components.
+    """
     return one.p_alike <= _CHANCE and one.between > BETWEEN * one.within
 
 
 def _most_apart(values: Array) -> tuple[int, float]:
-    """Return which of the values (m,) is furthest from the median of the others, and that median."""
+    """Return the index of the value, out of `values` (m,), that is furthest from the median of the others, and that
+    median.
+    """
     usual = [float(np.nanmedian(np.delete(values, at))) for at in range(len(values))]
     at = int(np.nanargmax(np.abs(values - usual)))
     return at, usual[at]
 
 
 def _fitted(blocks: Blocks) -> tuple[Array, Array]:
-    """Return the exact optimum (p,) and its half intervals (p,); empty without rows or independent columns."""
+    """Return the exact optimum (p,) and half its intervals (p,); empty arrays without rows or independent columns."""
     if not blocks.rows:
         return np.zeros(0), np.zeros(0)
     try:
@@ -170,6 +177,9 @@ def _fitted(blocks: Blocks) -> tuple[Array, Array]:
 
 
 def _stiffness(blocks: Blocks, kc: int) -> list[float]:
-    """Return [Kc], N m/rad; [] if the rows do not estimate it well enough to be compared."""
+    """Return Kc, N m/rad, as a list of one number; [] if the rows do not determine Kc well enough for a comparison.
+
+    kc: the index of the column of Kc.
+    """
     values, half = _fitted(blocks)
     return [float(values[kc])] if len(values) and half[kc] < _PRECISE * values[kc] else []

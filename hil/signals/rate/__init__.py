@@ -1,1 +1,1 @@
-"""From readings of the deflection to its rate and acceleration, where they can be known."""
+"""Compute rate and acceleration from readings of the deflection, where they can be known."""

@@ -1,10 +1,12 @@
-"""Deflection, rate and acceleration from one low-pass, for readings whose noise or counts would change Kc and Bc.
+"""Compute deflection, rate and acceleration with one low-pass, for readings whose noise or counts would change Kc and
+Bc.
 
 A local polynomial is flat over the excited band but falls slowly above it, and so passes much noise. If the deflection
 itself is not filtered, a model that delays it by a fraction of a sample averages its noise, which looks like a skew.
-Here all three come from one finite impulse response without phase shift, with the window of Kaiser (1974). The second
-and third are differences of the first, so that the rate is exactly the slope of the deflection. Derivatives of the
-window would not do: those of a short window are 0.4 % wrong at low frequencies, and Bc with them.
+Here deflection, rate and acceleration come from one finite impulse response without phase shift, with the window of
+Kaiser (1974). Rate and acceleration are differences of the filtered deflection, so that the rate is exactly the slope
+of the deflection. Derivatives of the window would be wrong by 0.4 % at low frequencies for a short window, and so would
+Bc.
 """
 
 from __future__ import annotations
@@ -44,10 +46,11 @@ _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 @dataclass(frozen=True, slots=True)
 class LowPass:
-    """A low-pass filter. cut: the middle of its transition, Hz. half: neighbours on each side. step: time between two
-    samples, s.
+    """A low-pass filter.
 
-    near: neighbours on each side of the local polynomial that moves unevenly stamped readings to an even grid.
+    cut: the middle of its transition, Hz. half: the number of neighbours on each side. step: time between two samples,
+    s. near: the number of neighbours on each side of the local polynomial that moves unevenly stamped readings to an
+    even grid.
     """
 
     cut: float
@@ -57,16 +60,16 @@ class LowPass:
 
     @property
     def longest_step(self) -> float:
-        """Return the longest time between two samples, s, at which a low-pass of this cut is possible."""
+        """Return the longest time between two samples, s, at which a low-pass with this cut is possible."""
         return _NYQUIST / (4.0 * self.cut) * (_PASSED + STOPPED) / STOPPED
 
     def of_every(self, every: int) -> LowPass:
-        """Return the low-pass of this cut for every `every`-th sample."""
+        """Return the low-pass with the same cut for a signal that has only every `every`-th sample."""
         return replace(self, half=ceil((self.half - _FLAT) / every) + _FLAT, step=every * self.step)
 
     @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
     def kernels(self) -> Array:
-        """Return the weights (3, 2*half+1) of value, slope per s and curvature per s^2."""
+        """Return the weights (3, 2*half+1) that give value, slope per s and curvature per s^2."""
         own = self.half - _FLAT
         offsets = np.arange(-own, own + 1)
         window = np.i0(_BETA * np.sqrt(1.0 - (offsets / (own + 1)) ** 2)) - 1.0
@@ -86,9 +89,9 @@ class LowPass:
 
 
 def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
-    """Return the low-pass that passes up to `highest`, Hz; None if samples (n,), s, are too few or too far apart.
+    """Return the low-pass that passes up to `highest`, Hz; None if the samples are too few or too far apart.
 
-    near: neighbours on each side of a local polynomial with the same pass band.
+    time (n,): s. near: the number of neighbours on each side of a local polynomial with the same pass band.
     """
     step = float(np.median(np.diff(time)))
     edge, stop = _PASSED * highest, STOPPED * highest
@@ -101,9 +104,10 @@ def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
 
 
 def _differences(step: float) -> Array:
-    """Return the weights (3, 2*_FLAT+1) of value, slope per s and curvature per s^2 at neighbours `step` s apart.
+    """Return the weights (3, 2*_FLAT+1) that give value, slope per s and curvature per s^2 from neighbours `step` s
+    apart.
 
-    They are the central differences of that length that are flattest at low frequencies (Fornberg 1988).
+    The weights are the central differences of that length that are flattest at low frequencies (Fornberg 1988).
     """
     at = np.arange(1, _FLAT + 1)
     ratio = np.array([(-1.0) ** (k + 1) * comb(2 * _FLAT, _FLAT - k) / comb(2 * _FLAT, _FLAT) for k in at.tolist()])
@@ -120,9 +124,9 @@ def _differences(step: float) -> Array:
 
 
 def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array, Array]:
-    """Return value, slope and curvature (n,) of readings (n,), low-passed, at their stamps (n,) s, rising.
+    """Return value, slope and curvature (n,) of low-passed readings (n,). time (n,): their stamps, s, rising.
 
-    They are valid where `is_sound`.
+    The results are valid for the samples that `is_sound` returns.
     """
     found = np.empty((_SIGNALS, len(time)))
     for part in _stretches(time, low_pass.step):
@@ -132,9 +136,11 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 
 
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return a function that low-passes readings (n,) at stamps (n,), s, rising: the value that `passed` returns.
+    """Return a function that low-passes readings (n,) at stamps (n,), s, rising, and returns the value as `passed`
+    does.
 
-    It keeps what depends only on the stamps, so that many readings at the same stamps cost less, and its last results.
+    The function stores what depends only on the stamps, so that many readings at the same stamps cost less, and its
+    last results.
     """
     parts = [(part, _passing(time[part], low_pass)) for part in _stretches(time, low_pass.step)]
 
@@ -145,7 +151,9 @@ def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
 
 
 def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Return the function with a cache of its last results: most columns of a model do not change during a search."""
+    """Return the function `through` with a cache of its last results: most columns of a model do not change during a
+    search.
+    """
     known: dict[bytes, tuple[Array, Array]] = {}
 
     def remembered(values: Array) -> Array:
@@ -163,7 +171,7 @@ def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
-    """Return for which samples (n,) all neighbours that the low-pass uses exist, with no gap between them."""
+    """Return the samples (n,) for which all neighbours that the low-pass uses exist, with no gap between them."""
     found = np.zeros(len(time), dtype=bool)
     for part in _stretches(time, low_pass.step):
         found[part.start + low_pass.half : max(part.stop - low_pass.half, part.start + low_pass.half)] = True
@@ -171,7 +179,7 @@ def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
 
 
 def _stretches(time: Array, step: float) -> list[slice]:
-    """Return the pieces of samples whose gaps are short enough to interpolate."""
+    """Return the pieces between gaps that are too long to interpolate."""
     breaks = np.flatnonzero(np.diff(time) > _BRIDGED * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
@@ -191,7 +199,7 @@ def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
 
 
 def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return a function for the first row of `_passed`, for stamps that are used many times."""
+    """Return a function that gives the first row of `_passed`, for stamps that are used many times."""
     if _is_even(time, low_pass):
         return lambda values: np.asarray(_filtered(values, low_pass, 1)[0])
     if not 2 * low_pass.near < len(time) < _KEPT:
@@ -207,7 +215,7 @@ def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
 
 
 def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
-    """Return readings at even times, filtered by each of the first kernels."""
+    """Return readings at even times, filtered by each of the first `kernels` kernels."""
     padded = np.pad(even - even[0], low_pass.half, mode="edge")
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
     size = transform_size(len(padded))
@@ -235,13 +243,13 @@ def _is_even(time: Array, low_pass: LowPass) -> bool:
 
 
 def _grid(time: Array, low_pass: LowPass) -> Array:
-    """Return even times around a piece; they do not depend on which part of the recording is read."""
+    """Return even times around a piece; the times do not depend on which part of the recording is read."""
     first, last = np.floor(time[0] / low_pass.step), np.ceil(time[-1] / low_pass.step)
     return np.asarray(low_pass.step * np.arange(first, last + 1.0))
 
 
 def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
-    """Return the weights (k, n) that move readings at uneven stamps (n,) to a grid (k,), as in `_passed`."""
+    """Return the weights (k, n) that move readings at uneven stamps (n,) to a grid (k,)."""
     from scipy.sparse import csr_array, vstack
 
     count, width = len(time), 2 * near + 1
@@ -252,8 +260,9 @@ def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
 
 
 def _cubic(knots: Array, at: Array) -> Cubic:
-    """Return for each time (k,) the knots beside it, and the weights (k, 2) of their values and slopes in the cubic
-    between.
+    """Return the data for a cubic interpolation between knots at times `at` (k,).
+
+    They are the knots beside each time, and the weights (k, 2) of the values and of the slopes at these knots.
     """
     left = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
     step = knots[left + 1] - knots[left]
@@ -265,13 +274,13 @@ def _cubic(knots: Array, at: Array) -> Cubic:
 
 
 def _between(cubic: Cubic, values: Array, slopes: Array) -> Array:
-    """Return the interpolated values (k,) between knots with values and slopes (n,)."""
+    """Return the interpolated values (k,). cubic: the result of `_cubic`. values, slopes (n,): at the knots."""
     places, of_value, of_slope = cubic
     return np.asarray((of_value * values[places] + of_slope * slopes[places]).sum(axis=1))
 
 
 def _matrix(cubic: Cubic, knots: int) -> csr_array:
-    """Return the same interpolation as weights (k, 2n) of the values followed by the slopes."""
+    """Return the interpolation `_between` as a matrix of weights (k, 2n) of the values followed by the slopes."""
     from scipy.sparse import csr_array
 
     places, of_value, of_slope = cubic

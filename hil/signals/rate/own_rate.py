@@ -1,4 +1,4 @@
-"""A recorded rate beside the deflection: the deflection's derivative, delayed by a filter, or noisy.
+"""Compare a recorded rate with the deflection's derivative: the recorded rate may be delayed by a filter, or noisy.
 
 Drives filter the velocity that they report. Beside an unfiltered deflection such a rate is late, and Kc changes by Bc
 times the lag times the frequency squared. Lag and gain of the rate are those at which it best matches the derivative of
@@ -31,9 +31,10 @@ _EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count 
 
 @dataclass(frozen=True, slots=True)
 class OwnRate:
-    """A recorded rate that is not the deflection's derivative. lag: its delay, s. size: its gain over the derivative.
+    """A recorded rate that differs from the deflection's derivative.
 
-    noise: the fraction of the residuals' power that it adds in comparison with the derivative.
+    lag: its delay, s. size: its gain relative to the derivative. noise: the fraction of the residuals' power that it
+    adds in comparison with the derivative.
     """
 
     lag: float
@@ -41,7 +42,7 @@ class OwnRate:
     noise: float = 0.0
 
     def diagnostic(self) -> Diagnostic:
-        """Return the warning about it."""
+        """Return the warning about this recorded rate."""
         if self.noise:
             text = (
                 f"the recorded rate has noise or coarse steps: residuals have {100.0 * self.noise:.2g} % more power "
@@ -61,18 +62,20 @@ class OwnRate:
 def refused_rate(
     time: Array, torque: Array, dtheta: Array, given: Array, derived: Array, *, highest: float
 ) -> OwnRate | None:
-    """Return why a recorded rate (n,), rad/s, is not used: filtered, or else noisy; None if it is used.
+    """Return why a recorded rate is not used: it is filtered, or else noisy; None if it is used.
 
-    torque (n,) N m and dtheta (n,) rad at time (n,) s; derived and highest: see `own_rate`.
+    given (n,): the recorded rate, rad/s. torque (n,) N m and dtheta (n,) rad: at time (n,) s. derived, highest: see
+    `own_rate`.
     """
     return own_rate(time, given, derived, highest) or _noisy(torque, dtheta, given, derived)
 
 
 def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> bool:
-    """Return whether a recorded rate (n,), rad/s, was computed from differences of the deflection (n,), rad.
+    """Return whether a recorded rate was computed from differences of the deflection.
 
-    These are differences of both neighbours, or with the sample before or after; the rate then has their errors.
-    derived: see `own_rate`.
+    given (n,): the recorded rate, rad/s. dtheta (n,): the deflection, rad. The differences are those between both
+    neighbours, or to the sample before or after; the rate then has the errors of the deflection. derived: see
+    `own_rate`.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     quotients = np.diff(dtheta) / np.diff(time)
@@ -87,10 +90,10 @@ def _are_alike(errors: Array, others: Array) -> bool:
 
 
 def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:
-    """Return how a recorded rate (n,), rad/s, differs from the derivative of the deflection (n,); None if it does not.
+    """Return how a recorded rate differs from the derivative of the deflection; None if it does not.
 
-    time (n,): s. derived (n,): that derivative, NaN at samples without one. highest: the upper end of the excited band,
-    Hz.
+    time (n,): s. given (n,): the recorded rate, rad/s. derived (n,): the derivative, rad/s, NaN at samples without one.
+    highest: the upper end of the excited band, Hz.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     time, given, derived = time[good], given[good], derived[good]
@@ -120,7 +123,10 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
 
 
 def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:
-    """Return how much noisier a recorded rate is than the derivative: the torque follows the better one of the two."""
+    """Return how much noisier the recorded rate `given` is than the derivative `derived`; None if it is not.
+
+    The torque follows the less noisy rate better.
+    """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     target = torque[good]
 

@@ -1,6 +1,8 @@
-"""Value, slope and curvature of a reading by a polynomial fitted to its neighbourhood (Savitzky and Golay 1964).
+"""Compute value, slope and curvature of a reading by a polynomial fitted to its neighbourhood (Savitzky and Golay
+1964).
 
-It has no phase shift, time stamps need not be even, and its gain is one up to a frequency set by the window's width.
+The fit has no phase shift, time stamps need not be even, and its gain is one up to a frequency set by the window's
+width.
 """
 
 from __future__ import annotations
@@ -22,26 +24,31 @@ band.
 """
 
 LEAST = (DEGREE + 1) // 2
-"""The fewest neighbours on each side: below it there are fewer readings than coefficients."""
+"""The smallest number of neighbours on each side: with fewer there are fewer readings than coefficients."""
 
 _SHARE: Final = 4
-"""How far beyond a single window a block of windows with shared sums may reach, in half windows."""
+"""The length, in half windows, by which a block of windows with shared sums may exceed a single window."""
 
 _WIDER: Final = 1.3
-"""How much longer than its shortest window a block may be; beside a gap in time it contains fewer windows."""
+"""The largest ratio of a block's length to that of its shortest window; beside a gap in time a block contains fewer
+windows.
+"""
 
 _SINGULAR: Final = 1e-14
-"""The remaining fraction of a diagonal element below which stamps, as across a long gap, determine no polynomial."""
+"""The fraction of a diagonal element, after elimination, below which the stamps determine no polynomial, as across a
+long gap.
+"""
 
 _PART: Final = 1 << 15
-"""The number of samples that one thread takes at a time."""
+"""The number of samples that a thread processes at a time."""
 
 
 def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array:
-    """Return the derivative of that order, 0 to 2, at every sample: (n,), in the values' unit per s^order.
+    """Return the derivative of `order`, 0 to 2, at every sample: (n,), in the values' unit per s^order.
 
-    time (n,) s, rising; values (n,). A window is the sample and `half` neighbours on each side. At the ends it is the
-    first or last 2*half+1 samples, evaluated off its centre, where the noise is many times larger.
+    time (n,): s, rising. values (n,). half: the number of neighbours on each side of a sample in its window. At the
+    ends the window is the first or last 2*half+1 samples, and the polynomial is evaluated off the window's centre,
+    where the noise is many times larger.
     """
     time, values = np.ascontiguousarray(time), np.ascontiguousarray(values)
     if len(time) <= 4 * half + 2 or not _is_even(time):
@@ -65,7 +72,10 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
 
 
 def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
-    """Return the weights (n, m) of readings at times (n, m) that give value and slope per s at times (n,), s."""
+    """Return the weights (n, m) of the m readings in each window that give value and slope per s.
+
+    time (n,): the times of the results, s. windows (n, m): the times of the readings, s.
+    """
     middle, scale = 0.5 * (windows[:, 0] + windows[:, -1]), 0.5 * (windows[:, -1] - windows[:, 0])
     chebyshev = np.polynomial.chebyshev
     basis = chebyshev.chebvander((windows - middle[:, None]) / scale[:, None], DEGREE)
@@ -77,14 +87,14 @@ def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
 
 
 def _is_even(time: Array) -> bool:
-    """Return whether stamps (n,) are even within their own rounding."""
+    """Return whether stamps (n,), s, are evenly spaced, except for the rounding of the stamps."""
     grid = np.linspace(time[0], time[-1], len(time))
     rounding = 4.0 * float(np.finfo(np.float64).eps) * max(abs(time[0]), abs(time[-1]))
     return bool(np.all(np.abs(time - grid) <= rounding))
 
 
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
-    """Return the derivative of a polynomial fitted to each window, for any stamps."""
+    """Return the derivative of a polynomial fitted to each window, for stamps that need not be evenly spaced."""
     found = np.empty(len(time))
 
     def fit(first: int, last: int) -> None:
@@ -101,7 +111,9 @@ def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
 
 
 def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
-    """Call `work` for all samples from first to last in parts; many parts run in threads, with the same result."""
+    """Call the function `work` for all samples from `first` to `last` in parts; many parts run in threads, with the
+    same result.
+    """
     parts = [(at, min(at + _PART, last)) for at in range(first, last, _PART)]
     if len(parts) == 1:
         work(*parts[0])
@@ -112,17 +124,22 @@ def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
 
 
 def _together(half: int) -> int:
-    """Return how many windows share a basis and sums; with more of them, each covers less of the common interval."""
+    """Return how many windows share a basis and sums. With more windows in a block, each window covers less of the
+    block's interval.
+    """
     return max(half // _SHARE, 1)
 
 
 def kernel(half: int, order: int) -> Array:
-    """Return the weights (2*half+1,) of the derivative of that order, per sample^order, on an even grid."""
+    """Return the weights (2*half+1,) that give the derivative of `order`, per sample^order, on an even grid."""
     return np.asarray(kernels(half, order, np.zeros(1))[0])
 
 
 def kernels(half: int, order: int, samples: Array) -> Array:
-    """Return the weights (m, 2*half+1) of that derivative at samples (m,) this far from the centre of the window."""
+    """Return the weights (m, 2*half+1) that give the derivative of `order` at m positions in the window.
+
+    samples (m,): the distances of the positions from the centre of the window, in samples.
+    """
     offsets = np.arange(-half, half + 1, dtype=np.float64) / half
     weights = np.linalg.pinv(np.polynomial.chebyshev.chebvander(offsets, DEGREE))
     derivatives = np.polynomial.chebyshev.chebder(np.eye(DEGREE + 1), order)
@@ -130,7 +147,7 @@ def kernels(half: int, order: int, samples: Array) -> Array:
 
 
 def gain(half: int, order: int, cycles: float) -> float:
-    """Return the gain of that derivative for a sine of `cycles` periods a sample, on an even grid."""
+    """Return the gain of the derivative of `order` for a sine of `cycles` periods per sample, on an even grid."""
     offsets = np.arange(-half, half + 1, dtype=np.float64)
     omega = 2.0 * math.pi * cycles
     wave = np.cos(omega * offsets) if order % 2 == 0 else np.sin(omega * offsets)
@@ -151,7 +168,9 @@ def _first(half: int, sample: Index, count: int) -> Index:
 
 
 def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
-    """Return which blocks (b,) of windows (b, m) can share a basis: each window covers most of its block."""
+    """Return which blocks (b,) of windows (b, m) can share a basis: those in which each window covers most of its
+    block.
+    """
     start = _first(half, windows, len(time))
     end = time[start + 2 * half]
     return np.asarray(end[:, -1] - time[start[:, 0]] <= _WIDER * (end - time[start]).min(axis=1))
@@ -160,8 +179,9 @@ def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
 def _derivatives(time: Array, values: Array, half: int, order: int, windows: Index) -> Array:
     """Return the derivative (b, m) at the samples (b, m), each the centre of a window.
 
-    The windows of a block share a basis. The sums of a window are those of the previous one, less the sample that left
-    it, plus the one that entered. All blocks are computed side by side, because there are many short ones.
+    The m windows of a block share a basis. The sums of a window are those of the previous window, less the sample that
+    left the window, plus the sample that entered. All blocks are computed side by side, because there are many short
+    blocks.
     """
     width, found = 2 * half + 1, np.empty(windows.shape)
     starts = _first(half, windows, len(time))
@@ -192,7 +212,7 @@ def _derivatives(time: Array, values: Array, half: int, order: int, windows: Ind
 
 
 def _chebyshev(x: Array, count: int) -> Array:
-    """Return the first `count` Chebyshev polynomials at x (b,): (count, b)."""
+    """Return the values (count, b) of the first `count` Chebyshev polynomials at x (b,)."""
     basis, twice = np.empty((count, len(x))), 2.0 * x
     basis[0], basis[1] = 1.0, x
     for k in range(2, count):
@@ -202,7 +222,7 @@ def _chebyshev(x: Array, count: int) -> Array:
 
 
 def _chebyshev_derivative(x: Array, order: int) -> Array:
-    """Return a derivative of the Chebyshev polynomials up to the fit's degree at x (b,): (p, b)."""
+    """Return the derivatives (p, b) of `order` of the Chebyshev polynomials up to the fit's degree at x (b,)."""
     at = _chebyshev(x, DEGREE + 1)
     for number in range(1, order + 1):
         before, at = at, np.zeros_like(at)
@@ -213,10 +233,11 @@ def _chebyshev_derivative(x: Array, order: int) -> Array:
 
 
 def _solved(sums: Array, right: Array) -> Array:
-    """Return the coefficients (p, b) of all fits, from the sums of the basis (2p-1, b) and of the values (p, b).
+    """Return the coefficients (p, b) of b fits. sums (2p-1, b): sums of the basis. right (p, b): sums of basis times
+    values.
 
-    The equations are solved by Cholesky; the basis is so nearly orthogonal that no pivot is needed. NaN if they are
-    singular.
+    The equations are solved by Cholesky's method; the basis is so nearly orthogonal that no pivot is needed. NaN if the
+    equations are singular.
     """
     p, found = len(right), right.copy()
     root = np.empty((p, p, right.shape[1]))

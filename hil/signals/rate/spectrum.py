@@ -1,4 +1,4 @@
-"""The spectrum of a reading: the frequencies up to which the joint moved, its ripple, and the noise floor."""
+"""The spectrum of a deflection: the frequencies up to which the joint moved, its ripple, and the noise floor."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _TAPER = 0.02  # of a recording at each end
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
-    """Return the excited band, Hz: the frequencies at which the deflection (n,) rad is above its own noise.
+    """Return the excited band, Hz: the frequencies at which the deflection (n,), rad, is larger than its own noise.
 
-    It reaches from 1 % of the deflection's power at the lower end to 99 % of the rate's at the upper. The noise floor
-    is the median density in the upper half of the spectrum.
+    Below the band lies 1 % of the deflection's power, above the band 1 % of the rate's power. The noise floor is the
+    median density in the upper half of the spectrum.
     """
     return Spectrum.of(time, dtheta).band
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """The spectrum of a deflection. frequency (n,): Hz, without zero. density (n,): smoothed. floor: the density of its
-    noise.
+    """The spectrum of a deflection.
 
-    noise: standard deviation, rad, of white noise with the floor's density. rounding: the density of the rounding error
-    if it is white.
+    frequency (n,): Hz, without zero. density (n,): the smoothed power density. floor: the density of the noise. noise:
+    standard deviation, rad, of white noise with the floor's density. rounding: the density of the rounding error if
+    that error is white.
     """
 
     frequency: Array
@@ -47,9 +47,10 @@ class Spectrum:
 
     @classmethod
     def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
-        """Return the spectrum of readings (n,) rad at rising stamps (n,) s; least: their white noise at least, rad.
+        """Return the spectrum of readings (n,), rad, at rising stamps (n,), s.
 
-        Only the outermost samples are tapered, because a chirp is fastest at its end.
+        least: lower limit of the readings' white noise, rad. Only the outermost samples are tapered, because a chirp is
+        fastest at its end.
         """
         count = len(time)
         uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
@@ -64,7 +65,7 @@ class Spectrum:
 
     @property
     def band(self) -> tuple[float, float]:
-        """The excited band, Hz, without ripple far above it."""
+        """The excited band, Hz, without a ripple far above the motion."""
         excited = np.where(self.frequency < self.ripple_begins, self._excited, 0.0)
         if not excited.any():
             return float(self.frequency[0]), float(self.frequency[-1])
@@ -74,12 +75,14 @@ class Spectrum:
 
     @cached_property
     def _excited(self) -> Array:
-        """Return the density (n,) of motion; the rounding of a steady motion makes lines with its whole power."""
+        """Return the density (n,) that is motion and not noise. Rounding of a steady motion is removed too: its power
+        lies in lines.
+        """
         beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
         return np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
 
     def _upper_end(self, excited: Array, share: float) -> float:
-        """Return the frequency, Hz, below which that share of the rate's power lies."""
+        """Return the frequency, Hz, below which the fraction `share` of the rate's power lies."""
         power = np.cumsum(excited * self.frequency**2)
         return float(self.frequency[int(np.searchsorted(power, share * power[-1]))])
 
@@ -87,9 +90,9 @@ class Spectrum:
     def ripple_begins(self) -> float:
         """Return the frequency, Hz, above which there is only ripple far above the motion; infinite without ripple.
 
-        A set-point that is held for some ticks makes the joint ripple at the set-points' rate. Sampling aliases the
-        faster harmonics, so the rate is wrong there while the torque is right. Between the motion and its ripple there
-        is hardly any power.
+        A set-point that is held for some ticks makes the joint ripple at the rate of the set-points. Sampling aliases
+        the faster harmonics, so the rate is wrong at these frequencies while the torque is right. Between the motion
+        and its ripple there is hardly any power.
         """
         begins = self.rises_beyond(self.main)
         power = self._excited * self.frequency**2
@@ -101,8 +104,9 @@ class Spectrum:
         return self._upper_end(self._excited, _MAIN) if self._excited.any() else np.inf
 
     def rises_beyond(self, main: float) -> float:
-        """Return the frequency, Hz, above which the density rises far above its level beyond a motion of up to `main`
-        Hz.
+        """Return the frequency, Hz, above which the density is far higher than just above the motion.
+
+        main: the frequency up to which the joint moves, Hz.
         """
         beyond = self.frequency > _RIPPLES * main
         width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
@@ -118,12 +122,12 @@ class Spectrum:
         return float(self.frequency[beyond][np.argmin(smooth[: rises[0]]) + width // 2])
 
     def above(self, noise: float) -> float:
-        """Return the frequency, Hz, up to which motion is clearly above noise, rad, also for the last hundredth of the
-        rate.
+        """Return the frequency, Hz, up to which motion is clearly larger than noise, even the last hundredth of the
+        rate's power.
 
-        For a random walk, or motion with corners, the part of the rate beyond the band may be far above the noise of
-        the torque. The rounding of a steady motion makes lines and not a floor, so its noise may exceed what the floor
-        shows.
+        noise: standard deviation of the readings' noise, rad. For a random walk, or motion with corners, the part of
+        the rate above the band may be far larger than the noise of the torque. The rounding of a steady motion makes
+        lines and not a floor, so `noise` may exceed the noise of the floor.
         """
         floor = self.floor * max(1.0, noise / max(self.noise, 1e-300)) ** 2
         gained = np.cumsum(self.density - _CLEARLY * floor)

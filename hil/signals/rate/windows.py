@@ -1,4 +1,6 @@
-"""The local polynomials for a recording: as wide as its excited band allows, so that they pass little noise."""
+"""Choose the windows of the local polynomials for a recording: as wide as its excited band allows, so that they pass
+little noise.
+"""
 
 from __future__ import annotations
 
@@ -39,16 +41,17 @@ _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: frict
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """The local polynomials of a recording.
+    """The windows of the local polynomials of a recording, or the low-pass in their place.
 
-    slope, curvature: neighbours on each side. step: median time between two samples, s. band: the excited band, Hz.
-    noise: standard deviation of the slope's noise, rad/s; of_deflection: of the readings, rad. count: the smallest step
-    between two readings, rad. unseen: errors of the rate, rad/s, that the lack-of-fit tests cannot see beside the
-    torque's noise. low_pass: used in place of the polynomials if that noise would change Kc or Bc (noisy), or if the
-    joint moves too fast for the narrowest of them. jerk, rad/s, and jump, rad/s^2: the largest differences between
-    rates and accelerations in several windows where the acceleration does not jump; infinite if a jump would not show
-    in the torque of the damping or of an inertia. of_acceleration: standard deviation, rad/s^2, of its errors from
-    noise and from smoothing.
+    slope, curvature: numbers of neighbours on each side. step: median time between two samples, s. band: the excited
+    band, Hz. noise: standard deviation of the slope's noise, rad/s. of_deflection: standard deviation of the readings'
+    noise, rad. count: the smallest step between two readings, rad. unseen: errors of the rate, rad/s, too small for the
+    lack-of-fit tests to detect beside the torque's noise. low_pass: used in place of the polynomials if the noise would
+    change Kc or Bc, or if the joint moves too fast for the narrowest polynomial. noisy: whether the noise is the
+    reason. jerk, rad/s, and jump, rad/s^2: the largest differences between rates and between accelerations in several
+    windows where the acceleration does not jump; infinite if a jump would not show in the torque of the damping or of
+    an inertia. of_acceleration: standard deviation, rad/s^2, of the errors of the acceleration from noise and from
+    smoothing.
     """
 
     slope: int
@@ -76,45 +79,49 @@ class Window:
         return max(self.slope, self.curvature, self.low_pass.half if self.low_pass else 0)
 
     def moved(self, time: Array, dtheta: Array) -> tuple[Array, Array, Array]:
-        """Return deflection, rate and acceleration (n,) of readings (n,) rad at rising stamps (n,) s."""
+        """Return deflection, rate and acceleration (n,), computed with this window from readings (n,), rad, at rising
+        stamps (n,), s.
+        """
         if self.low_pass:
             return passed(time, dtheta, self.low_pass)
         rate = local_polynomial(time, dtheta, self.slope, 1)
         return dtheta, rate, local_polynomial(time, dtheta, self.curvature, 2)
 
     def alike(self, time: Array, values: Array) -> Array:
-        """Return values (n,) filtered as the deflection was, so that relations between them are preserved."""
+        """Return values (n,) filtered as the deflection was, so that relations between values and deflection are
+        preserved.
+        """
         return values if self.low_pass is None else _known(passed(time, values, self.low_pass)[0], values)
 
     @property
     def longest_step(self) -> float:
-        """Return the longest time between two samples, s, at which `passing` is possible."""
+        """Return the longest time between two samples, s, at which the filter of `passing` is possible."""
         return self.low_pass.longest_step if self.low_pass else np.inf
 
     def of_every(self, every: int) -> Window:
-        """Return the window whose `passing` gives the same at every `every`-th sample."""
+        """Return the window whose `passing` filters a signal that has only every `every`-th sample in the same way."""
         return replace(self, low_pass=self.low_pass.of_every(every)) if self.low_pass else self
 
     def passing(self, time: Array) -> Callable[[Array], Array]:
-        """Return a function that filters many values (n,) at the same stamps, as a search needs it."""
+        """Return a function that filters values (n,) at the stamps (n,), s; a search calls it many times."""
         if self.low_pass is None:
             return lambda values: values
         through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
 
     def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:
-        """Return which samples (n,) are beside a jump of the acceleration, where no window gives the motion."""
+        """Return the samples (n,) beside a jump of the acceleration, where no window gives the true motion."""
         of_rate = _differing(time, dtheta, rate, _NARROW) > self.jerk
         if not np.isfinite(self.jump):
             return of_rate
         return of_rate | (_differing(time, dtheta, acceleration, _NARROW, order=2) > self.jump)
 
     def sound(self, time: Array) -> NDArray[np.bool_]:
-        """Return for which samples (n,) all neighbours exist that the rate is computed from."""
+        """Return the samples (n,) for which all neighbours exist from which the rate is computed."""
         return is_sound(time, self.low_pass) if self.low_pass else _whole(time, self.widest, self.step)
 
     def has_acceleration(self, time: Array) -> NDArray[np.bool_]:
-        """Return for which samples (n,) all neighbours exist that the acceleration is computed from, out of rates."""
+        """Return the samples (n,) for which all neighbours exist from whose rates the acceleration is computed."""
         return _whole(time, self.curvature, self.step)
 
 
@@ -123,10 +130,12 @@ def _known(found: Array, values: Array) -> Array:
 
 
 def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None = None) -> Window:
-    """Return the widest windows that the excited band allows; the slope's is narrowed as far as its noise permits.
+    """Return the widest windows that the excited band allows; the slope's window is then narrowed as far as its noise
+    permits.
 
-    The noise of the deflection (n,), rad, is judged by its effect on the torque (n,), N m. cell: the readings that the
-    torque was interpolated from, if fewer; the steps between them are not noise.
+    The noise of the deflection (n,), rad, is acceptable if its effect on the torque (n,), N m, is small. cell: the
+    readings that the torque was interpolated from, if there are fewer than samples; the steps between them are not
+    noise.
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
     rounding = count / float(np.sqrt(12.0))
@@ -182,11 +191,10 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
 
 
 def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
-    """Return the frequency, Hz, above which the torque (n,), N m, contains only ripple, which counts may hide in the
-    deflection.
+    """Return the frequency, Hz, above which the torque (n,), N m, contains only ripple; infinite without ripple.
 
-    main: the frequency up to which the joint moves, Hz. Infinite without ripple, and if readings are missing, which
-    makes steps.
+    Rounding to counts may hide such a ripple in the deflection. main: the frequency up to which the joint moves, Hz.
+    The result is infinite also if readings are missing, because that makes steps.
     """
     steps = np.diff(time)
     if steps.max() > 1.5 * float(np.median(steps)):
@@ -195,7 +203,7 @@ def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
-    """Return the narrowest window, at most `slope` neighbours on each side, with noise below `allowed`, rad/s.
+    """Return the narrowest window whose noise is below `allowed`, rad/s, as neighbours on each side, at most `slope`.
 
     step: time between two samples, s. noise: standard deviation of the deflection's noise, rad. A wide window removes
     details, such as the kinks where the joint sticks, and lowers Bc.
@@ -208,8 +216,9 @@ def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
 def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int = 1) -> int:
     """Return the window, at most `half` neighbours on each side, with the smallest sum of noise and smoothing error.
 
-    noise: of the deflection (n,), rad. Both errors would dominate the residuals of a quiet torque. The slopes (order 2:
-    the curvatures) of two windows differ by the difference of their noise power, and by what the wider one removes.
+    noise: standard deviation of the noise of the deflection (n,), rad. Both errors would dominate the residuals of a
+    quiet torque. The slopes (order 2: the curvatures) of two windows differ by the difference of their noise power, and
+    by the part of the motion that the wider window removes.
     """
     step = float(np.median(np.diff(time)))
     found, whole = local_polynomial(time, dtheta, half, order), _whole(time, half, step)
@@ -224,9 +233,9 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
 
 
 def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window | None:
-    """Return the window if its polynomials follow the motion, except for samples beside jumps; else None.
+    """Return the window `found` if its polynomials follow the motion, except for samples beside jumps; else None.
 
-    torque (n,), own: see `_jumping`.
+    torque, own: see `_jumping`.
     """
     if smoothed_away(found.slope, time, dtheta, found.of_deflection) <= found.unseen:
         return _jumping(found, time, dtheta, torque, own)
@@ -241,9 +250,10 @@ def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: fl
 
 
 def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window:
-    """Return the window, with samples beside jumps of the acceleration left out if an inertia would react to them.
+    """Return the window `found`, with samples beside jumps of the acceleration left out if an inertia would react to
+    them.
 
-    torque (n,): N m, in which the inertia shows, if there is one. own: its noise, N m.
+    torque (n,): N m; it shows the inertia if there is one. own: standard deviation of the torque's noise, N m.
     """
     _, rate, acceleration = found.moved(time, dtheta)
     apart = _differing(time, dtheta, acceleration, _NARROW, order=2)
@@ -266,8 +276,9 @@ def smoothed_away(
 ) -> float:
     """Return the part of the rate, rad/s r.m.s., that a window of `half` neighbours on each side removes.
 
-    It is what the narrowest possible polynomial finds in addition, in the samples seen (n,), or in all, without the
-    noise of the deflection (n,), rad. order: 2 for the part of the acceleration, rad/s^2.
+    This part is the difference to the rate of the narrowest possible polynomial, without the noise of the deflection.
+    dtheta (n,): the deflection, rad. noise: the standard deviation of its noise, rad. seen (n,): the samples that are
+    compared; all if None. order: 2 for the part of the acceleration, rad/s^2.
     """
     step = float(np.median(np.diff(time)))
     half = max(half, LEAST + 1)  # nothing is narrower than the least
@@ -281,19 +292,22 @@ def smoothed_away(
 
 
 def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
-    """Return the sum of squares of the known rates (n,), rad/s, or of some rows: between two rests few rows move."""
+    """Return the sum of squares of the known rates (n,), rad/s, or only of some rows: between two rests few rows
+    move.
+    """
     return float(np.nansum(np.square(rate) if rows is None else np.square(rate[rows])))
 
 
 def hides_in_rate(rate: Array) -> float:
-    """Return the noise, rad/s, that lowers the Bc of a rate (n,) rad/s by 0.01 %."""
+    """Return the standard deviation of noise, rad/s, that lowers the Bc computed from a rate (n,), rad/s, by 0.01 %."""
     return _NOISE * float(np.sqrt(np.mean(rate**2)))
 
 
 def _hidden(motion: Motion, torque: Array, own: float) -> float:
-    """Return the noise of the rate, rad/s, that cannot be seen beside that of the torque (n,), N m, which is `own`.
+    """Return the noise of the rate, rad/s, that cannot be detected beside the noise of the torque (n,), N m.
 
-    More noise would dominate the residuals, in which it can be predicted from the deflection's readings.
+    own: standard deviation of the torque's noise, N m. More noise of the rate would dominate the residuals, and the
+    deflection's readings would then predict the residuals.
     """
     columns = np.stack([np.ones(len(motion)), motion.dtheta, motion.dtheta_dot], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
@@ -301,7 +315,9 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
 
 
 def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
-    """Return the standard deviation of the noise of a torque (n,), N m, at least the error from its rate."""
+    """Return the standard deviation of the noise of a torque (n,), N m, at least the error that the torque has from its
+    sampling rate.
+    """
     if cell is None:
         own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
     else:
@@ -311,22 +327,22 @@ def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
 
 def _noise_of(time: Array, values: Array) -> Array:
     """Return the distance (n,) of values from a narrow local polynomial, scaled so that its median is the noise's
-    deviation.
+    standard deviation.
     """
     left = np.abs(values - local_polynomial(time, values, _NARROWEST, 0))
     return np.asarray(left * (1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
 
 
 def _amplified(half: int, step: float, order: int = 1) -> float:
-    """Return the standard deviation of the slope, rad/s, or curvature, rad/s^2, for noise of 1 rad in the
-    deflection.
+    """Return the standard deviation of the slope, rad/s, or (order 2) of the curvature, rad/s^2, for noise of 1 rad in
+    the deflection.
     """
     return float(np.linalg.norm(kernel(half, order))) / step**order
 
 
 def windows(time: Array, highest: float) -> tuple[int, int]:
-    """Return the widest windows, neighbours on each side, that give slope and curvature of motion up to `highest`
-    Hz.
+    """Return the widest windows that give slope and curvature of motion up to `highest`, Hz, as neighbours on each
+    side.
     """
     cycles = highest * (time[-1] - time[0]) / (len(time) - 1)
     most = min(_WIDEST, (len(time) - 1) // _PARTS)
@@ -335,18 +351,21 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
 
 
 def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
-    """Return for which samples (n,) the window, `half` on each side, is centred on the sample and free of gaps."""
+    """Return the samples (n,) whose window, `half` neighbours on each side, is centred on the sample and free of
+    gaps.
+    """
     whole = np.zeros(len(time), dtype=bool)
     whole[half : len(time) - half] = time[2 * half :] - time[: -2 * half] <= 3.0 * half * step
     return whole
 
 
 def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
-    """Return where (n,) the rate of a motion hardly depends on the window that it is computed in; beside a jerk it
-    does.
+    """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it does
+    depend on it.
 
-    window: the window used, if known. Where it is right, much wider windows give another rate. Noise of the deflection,
-    which a wider window averages too, is not counted, nor what the torque's noise hides.
+    window: the window that was used, if known. Only somewhat wider windows are compared with it, because much wider
+    ones give another rate even where the rate is right. Two differences are ignored: noise of the deflection, which a
+    wider window averages too, and differences that the torque's noise hides.
     """
     seen, rows = motion.whole
     # a low-pass that takes noise out blurs a jump as far as wide windows reach
@@ -359,8 +378,9 @@ def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
 
 
 def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...], order: int = 1) -> Array:
-    """Return by how much, rad/s, the rate (n,) differs from that of other windows; it may come from one of them.
+    """Return the difference, rad/s, between the rate (n,) and the rates of other windows.
 
-    order: 2 for an acceleration, rad/s^2.
+    halves: the other windows, neighbours on each side; the rate itself may come from one of them. order: 2 for an
+    acceleration, rad/s^2.
     """
     return np.asarray(np.max([np.abs(local_polynomial(time, dtheta, half, order) - rate) for half in halves], axis=0))

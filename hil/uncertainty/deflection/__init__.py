@@ -1,1 +1,1 @@
-"""The effect of errors of the deflection on the parameters, and the correction for it."""
+"""Compute the effect of errors of the deflection on the parameters, and correct it."""

@@ -1,9 +1,9 @@
 """Correct the parameters for errors of the deflection: by instrumental variables, or by simulating the errors.
 
 Noise and rounding of the deflection are in the regressors and make Kc and Bc too small. If the command was recorded, it
-serves as an instrument that is free of them; otherwise the effect of adding the same errors once more is simulated.
-Both act on the model linearised at its exact optimum, and so on nonlinear parameters too. Nothing is changed if the
-correction is small beside the intervals.
+serves as an instrument that is free of these errors; otherwise the effect of adding the same errors once more is
+simulated. Both methods use the model linearised at its exact optimum, and so correct nonlinear parameters too. Nothing
+is changed if the correction is small beside the intervals.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ Method = Literal["none", "simulation", "instruments"]
 class DeflectionErrors:
     """The errors of the deflection and their correction.
 
-    noise: standard deviation of the readings' errors, rad. counts: of the encoder over the motion, peak to peak.
-    low_pass: the corner of the deflection's low-pass, Hz, None without one. method: of the correction. change (p + q,),
-    SI: what is added to the parameters; half_width (p + q,): half its 95 % interval, including rounding in step with
-    the motion. predicted (p + q,), SI: the change by simulation. strength: 1 for a command that the motion follows,
-    down to 0; None if it was not recorded or not needed.
+    noise: standard deviation of the readings' errors, rad. counts: the encoder counts of the motion, peak to peak.
+    low_pass: corner frequency of the deflection's low-pass, Hz, None without a low-pass. method: the method of
+    correction. change (p + q,): the correction added to the parameters, SI. half_width (p + q,): half the 95 % interval
+    of the correction, SI, including rounding that repeats with the motion. predicted (p + q,): the correction by
+    simulation, SI. strength: the strength of the command as an instrument, from 1 if the motion follows it down to 0;
+    None if it was not recorded or not needed.
     """
 
     noise: float
@@ -51,7 +52,7 @@ class DeflectionErrors:
 
     @property
     def is_weak(self) -> bool:
-        """Return whether there is a command that the motion does not follow."""
+        """Return whether there is a command, but the motion does not follow it."""
         return self.strength is not None and self.strength < _WEAK
 
 

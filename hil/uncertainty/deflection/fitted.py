@@ -23,11 +23,13 @@ _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a re
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A model at its exact optimum, SI. torque (n,): N m, as read. used (n,): the samples that it was fitted to.
+    """A model at its exact optimum, with the data that it was fitted to, SI.
 
-    genes (p,), nonlinear (q,): its parameters. half_width (p + q,): of their intervals. decisive: the indices of the
-    parameters that decide whether anything is corrected. command (n,): None if it was not recorded. torque_count: the
-    smallest step between two readings of the torque, N m.
+    torque (n,): the torque as read, N m. used (n,): the samples that the model was fitted to. genes (p,), nonlinear
+    (q,): the linear and the nonlinear parameters. half_width (p + q,): half the parameters' intervals. decisive: the
+    indices of the parameters that decide whether anything is corrected. window: the window from which the rate was
+    computed. command (n,): the set-points, None if not recorded. torque_count: the smallest step between two readings
+    of the torque, N m.
     """
 
     model: SeparableModel
@@ -62,18 +64,22 @@ class Fitted:
         return columns, left
 
     def matters(self, change: Array) -> bool:
-        """Return whether a change (p + q,) is large enough beside the intervals to be made."""
+        """Return whether a change (p + q,) of the parameters is large enough, compared with their intervals, to be
+        made.
+        """
         at = list(self.decisive)
         return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
 
     def shows(self, change: Change) -> bool:
-        """Return whether a change is large enough to be made and larger than its own error (Hausman 1978)."""
+        """Return whether a change of the parameters is large enough to be made, and larger than its own error (Hausman
+        1978).
+        """
         return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
 
 
 def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: Array) -> Array:
-    """Return the derivative of the torque by genes (p,) and nonlinear parameters (q,), for a motion (n,): (n, p +
-    q).
+    """Return the derivatives (n, p + q) of the torque with respect to genes (p,) and nonlinear parameters (q,), for a
+    motion (n,).
     """
     lag = max(0.0, float(genes[1] / genes[0])) if model.needs_ratio and genes[0] > 0.0 else 0.0
     columns = model.columns(motion, nonlinear, lag)
@@ -89,8 +95,8 @@ class Change:
 
 
 def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Array, Array]:
-    """Return readings (n,) filtered by the window, with slope and curvature; zero in pieces that are too short for
-    it.
+    """Return readings (n,) filtered by the window, with slope and curvature; zero in pieces that are too short for the
+    window.
     """
     found = np.zeros((3, len(motion)))
     for part in stretches(motion):
@@ -101,10 +107,11 @@ def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Arra
 
 
 def sampled(motion: Motion) -> Motion:
-    """Return the motion at samples that are readings of the angle, or are as good as such.
+    """Return the motion at the samples at which the angle was read.
 
-    If the torque cell is slow, only the samples of its readings are used, which are about as far apart as the angle's.
-    The errors do not contain the differences from an even spacing, which a window needs.
+    If the torque cell is slow, `motion` has only the samples of the cell's readings, and the whole motion is returned.
+    Its times are then made evenly spaced in each piece, because a window needs an even spacing; the errors hardly
+    depend on it.
     """
     if motion.part_of is None:
         return motion
@@ -119,9 +126,10 @@ def stretches(motion: Motion) -> list[slice]:
 
 
 def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
-    """Return the motion with more deflection, rate and acceleration, (n,) of the whole that it is a part of.
+    """Return the motion with additional deflection, rate and acceleration.
 
-    The motor's own torque changes with rate and acceleration.
+    more: these three, each (n,), at all samples of the motion that `motion` is a part of. The motor's own torque
+    changes with rate and acceleration.
     """
     (whole, rows), (value, slope, curvature) = motion.whole, more
     own = np.stack([whole.dtheta_dot, whole.dtheta_ddot], axis=1)
@@ -137,7 +145,10 @@ def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:
 
 
 def solved(columns: Array, instruments: Array, left: Array) -> Array:
-    """Return the change of the parameters (p + q,) that makes the residuals (n,) orthogonal to the instruments."""
+    """Return the change of the parameters (p + q,) that makes the residuals orthogonal to the instruments.
+
+    columns, instruments (n, p + q). left (n,): the residuals, N m.
+    """
     sizes = np.linalg.norm(columns, axis=0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     gram = (instruments / sizes).T @ (columns / sizes)
@@ -148,6 +159,8 @@ def solved(columns: Array, instruments: Array, left: Array) -> Array:
 def clipped(left: Array) -> Array:
     """Return residuals (n,), N m, clipped as in Huber's (1964) estimate and scaled so that a correction step has full
     length.
+
+    left (n,): the residuals before clipping.
     """
     limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
     inside = float(np.mean(np.abs(left) < limit))

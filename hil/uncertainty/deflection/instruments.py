@@ -26,7 +26,10 @@ _NORMAL: Final = 1.959964
 
 
 def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] | None:
-    """Return the correction by the instruments, and their strength; None without a command."""
+    """Return the correction by the instruments, and the strength of the instruments; None without a command.
+
+    part: the fit on a part of the recording. sound (n,): the samples with a known rate.
+    """
     if not is_instrument(part.command):
         return None
     motion = followed(part.motion, part.window, part.command, sound)
@@ -51,8 +54,9 @@ def is_instrument(command: Array | None) -> TypeGuard[Array]:
 
 
 def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.bool_]) -> Motion:
-    """Return the motion that follows from the command (n,) through a filter of a few delays, fitted where sound
-    (n,).
+    """Return the motion that follows from the command (n,) through a filter with a few coefficients.
+
+    The filter is fitted to the motion at the samples in `sound` (n,).
     """
     unit = 1.0 / (8.0 * window.band[1])
     recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)

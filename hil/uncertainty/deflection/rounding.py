@@ -1,4 +1,4 @@
-"""The effect of rounding to counts on the parameters, for a joint that rests."""
+"""Compute the effect of rounding to counts on the parameters, for a joint that rests."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _NORMAL: Final = 1.959964
 def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
     """Return half the 95 % intervals (p + q,) of the effect of rounding while the joint rests.
 
-    All readings of one angle or torque at rest have the same error, up to half a count, which averaging does not
+    At rest all readings of an angle or a torque have the same error, up to half a count, which averaging does not
     reduce. Noise does not help for a torque in counts either: the least sum of absolute errors lies at one of the
-    counts. Readings at opposite places may have opposite errors, whose effects on Kc add up.
+    counts. Readings at opposite deflections may have opposite errors, whose effects on Kc add up.
     """
     motion, count = part.motion, part.window.count
     columns, left = part.linearised(motion)
@@ -44,7 +44,9 @@ def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
 
 
 def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
-    """Return the derivative of each parameter by the torque of each sound sample, (p + q, m)."""
+    """Return the derivative (p + q, m) of each parameter with respect to the torque of each of the m samples in
+    `sound`.
+    """
     sizes = np.linalg.norm(columns[sound], axis=0)
     sizes = np.where(sizes > 0.0, sizes, 1.0)
     return np.asarray(np.linalg.pinv(columns[sound] / sizes) / sizes[:, None])
@@ -58,7 +60,7 @@ def _per_rad(part: Fitted, left: Array) -> Array:
 
 
 def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
-    """Return whether each reading (n,), rad, is one of several consecutive ones that differ by less than `most`,
+    """Return whether each reading (n,), rad, belongs to several consecutive readings that differ by less than `most`,
     rad.
     """
     alike = np.concatenate([[False], np.abs(np.diff(dtheta)) < most])
@@ -67,7 +69,7 @@ def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
 
 
 def _is_within(values: Array, most: float) -> NDArray[np.bool_]:
-    """Return whether each value (n,) is one of several consecutive ones that differ by less than `most`."""
+    """Return whether each value (n,) belongs to several consecutive values that differ by less than `most`."""
     found = np.zeros(len(values), dtype=bool)
     if len(values) >= _RESTS:
         first = np.flatnonzero(np.ptp(sliding_window_view(values, _RESTS), axis=1) < most)

@@ -1,4 +1,4 @@
-"""Simulated errors of the deflection: the effect of adding them once more, on the parameters and on the lack-of-fit
+"""Simulate errors of the deflection: the effect of adding them once more on the parameters and on the lack-of-fit
 tests.
 
 Noise and rounding of the deflection are in the regressors (errors in variables: Soderstrom 2007). The effect of adding
@@ -28,9 +28,10 @@ _NORMAL: Final = 1.959964
 
 
 def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
-    """Return the correction found by adding the same errors once more, and 1.96 times its standard deviation.
+    """Return the correction found by adding the same errors once more, and 1.96 times the standard deviation of the
+    random part.
 
-    The interval includes this scatter already, except for rounding in step with the motion.
+    The parameters' intervals include this scatter already, except for rounding that repeats with the motion.
     """
     added = _added(part, sound, _errors(sampled(part.motion), part.window))
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
@@ -42,7 +43,7 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
 def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
     """Return whether rounding changes Kc or Bc by far more than the same errors in random order.
 
-    Periodic motion is rounded in the same way each time. spread (p + q,): see `simulated_change`.
+    Periodic motion is rounded in the same way in each period. spread (p + q,): the second result of `simulated_change`.
     """
     rng = np.random.default_rng(1)
     shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(sampled(part.motion), part.window)))
@@ -62,8 +63,10 @@ def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
 
 
 def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
-    """Return the change of the parameters by errors (n,) rad, (k, 2, p + q): with the errors and with their
+    """Return the changes of the parameters, (k, 2, p + q), by k draws of errors: with the errors and with their
     opposites.
+
+    errors: the draws, each (n,), rad.
     """
 
     def step(motion: Motion) -> Array:
@@ -75,14 +78,17 @@ def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> A
 
 
 def _scatter(added: Array) -> Array:
-    """Return half the 95 % intervals (p + q,) of the random effect of errors, which changes sign with the errors."""
+    """Return half the 95 % intervals (p + q,) of the random effect of errors, which changes sign with the errors.
+
+    added: the result of `_added`.
+    """
     return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
 
 
 def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float = 0.0) -> tuple[Motion, Motion]:
-    """Return the motion with errors (n,), rad, added to its readings, and with their opposites.
+    """Return two motions: with errors added to the readings, and with the same errors subtracted.
 
-    errors: of the angle's readings. of_rate (n,): additional errors of the rate, rad/s.
+    errors (n,): errors of the angle's readings, rad. of_rate (n,): additional errors of the rate, rad/s.
     """
     whole = sampled(motion)
     more = np.array(behind(window, whole, errors))
@@ -114,10 +120,10 @@ def _errors(motion: Motion, window: Window) -> Iterator[Array]:
 
 
 def _smoothed_away(motion: Motion, window: Window) -> Array:
-    """Return the part of the rate (n,), rad/s, that the window removes, from the rates of two wider windows.
+    """Return the part of the rate (n,), rad/s, that the window removes, estimated from the rates of two wider windows.
 
-    The changes from window to window grow by a constant factor; the window's own error is the sum of the geometric
-    series before it.
+    The changes from window to window grow by a constant factor; the window's own error is the sum of the earlier terms
+    of this geometric series.
     """
     first, second = np.zeros((2, len(motion)))
     if window.low_pass is not None:  # flat up to where the deflection's noise hides all
