@@ -1,7 +1,8 @@
-"""Wire faults: what an emulated link does to the requests and replies that pass over it, on demand.
+"""Faults of an emulated link, which damage, delay or drop the requests and replies that pass over it.
 
-One module for every link. A fault begins `after` further replies and lasts for `count` of them; `DropRequests` counts
-requests instead. The simulated servo has no wire: its faults are scheduled in time, in `sim_backend.faults`.
+All emulated links use this module. A fault begins after `after` more replies and lasts for `count` replies;
+`DropRequests` counts requests instead. The simulated servo has no link on a wire: its faults are in
+`sim_backend.faults`, and begin at a time.
 """
 
 from __future__ import annotations
@@ -18,68 +19,68 @@ from sim_backend.fault_plan import FaultPlan, PlannedFault
 
 @dataclass(frozen=True, slots=True)
 class _Scheduled:
-    """A fault that begins `after` further replies and lasts for `count` of them."""
+    """Base class of a fault that begins after `after` more replies and lasts for `count` replies."""
 
     after: int = 0
     count: int = 1
 
 
 class DropReplies(_Scheduled):
-    """The drive answers and nothing arrives."""
+    """Fault: the drive replies, but nothing arrives at the host."""
 
 
 class CorruptReplies(_Scheduled):
-    """One bit of the middle byte arrives flipped."""
+    """Fault: the reply arrives with one bit of its middle byte flipped."""
 
 
 @dataclass(frozen=True, slots=True)
 class TruncateReplies(_Scheduled):
-    """Only the first `keep` bytes arrive."""
+    """Fault: only the first `keep` bytes of the reply arrive."""
 
     keep: int = 3
 
 
 @dataclass(frozen=True, slots=True)
 class DelayReplies(_Scheduled):
-    """The reply arrives `seconds` later than it should."""
+    """Fault: the reply arrives `seconds` too late."""
 
     seconds: float = 0.01
 
 
 class DuplicateReplies(_Scheduled):
-    """The reply arrives twice."""
+    """Fault: the reply arrives twice."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseBefore(_Scheduled):
-    """The bytes `noise` arrive in front of the reply."""
+    """Fault: the bytes `noise` arrive before the reply."""
 
     noise: bytes = b"\x00\xff\xff\xfd\x13\x37"
 
 
 class DropRequests(_Scheduled):
-    """The request does not reach any drive."""
+    """Fault: the request reaches no drive."""
 
 
 class Reboots(_Scheduled):
-    """Every drive loses its power for a moment, before it would have answered."""
+    """Fault: every drive loses its power for a moment instead of replying."""
 
 
 class Unplug(_Scheduled):
-    """The adapter is pulled out, before the drive would have answered."""
+    """Fault: the adapter is unplugged before the drive replies."""
 
 
 class BusOff(_Scheduled):
-    """The adapter's CAN controller has counted too many errors and leaves the bus, before the drive would have
-    answered.
-    """
+    """Fault: the adapter's CAN controller has counted too many errors and goes bus-off before the drive replies."""
 
 
 Interruption = Reboots | Unplug | BusOff
 SharedFault = DropReplies | TruncateReplies | DelayReplies | DuplicateReplies | DropRequests | Reboots | Unplug
 SerialFault = SharedFault | CorruptReplies | NoiseBefore
 CanFault = SharedFault | BusOff
-"""A flipped bit is no fault of a CAN bus: the controllers' checksum catches it and the frame is sent again."""
+"""The faults that a CAN bus can have. A flipped bit is not among them: the CAN controllers detect it by checksum and
+send the frame again.
+"""
 WireFault = SerialFault | CanFault
 Accepted = TypeVar("Accepted", bound=WireFault)
 
@@ -103,7 +104,7 @@ _SERIAL_ONLY = frozenset({"flip", "noise", "flood"})
 
 
 class WireFaults(Generic[Accepted]):
-    """The faults injected into one link, and the number of requests and replies that have passed over it."""
+    """The faults of one link. It counts the requests and replies that have passed over the link."""
 
     def __init__(self) -> None:
         self.requests = 0
@@ -113,7 +114,7 @@ class WireFaults(Generic[Accepted]):
         self._held: list[tuple[float, bytes]] = []
 
     def inject(self, fault: Accepted) -> None:
-        """Let `fault` happen, counted from now."""
+        """Add `fault`, whose start is counted from now."""
         seen = self.requests if isinstance(fault, DropRequests) else self.replies
         self._injected.append((seen + fault.after, fault))
 
@@ -122,18 +123,20 @@ class WireFaults(Generic[Accepted]):
         self._injected.clear()
 
     def follow(self, plan: FaultPlan, powered: float) -> None:
-        """Let the faults of `plan` happen too; its times are s from `powered`."""
+        """Add the faults of `plan`, whose times are s since `powered`."""
         self._plan, self._powered = plan, powered
 
     def loses_request(self, now: float) -> bool:
-        """Count a request at `now` s; return whether it is lost."""
+        """Count a request that is sent at `now`, s. Return whether it is lost."""
         self.requests += 1
         if self._plan.acting(("drop-request",), now - self._powered, self.requests):
             return True
         return any(isinstance(fault, DropRequests) for fault in self._now(self.requests))
 
     def interrupts_reply(self, now: float) -> Interruption | None:
-        """Count a reply at `now` s; return what happens to the link or the drives instead, None if nothing does."""
+        """Count a reply that is sent at `now`, s. Return the fault that happens to the link or the drives instead of
+        the reply; None if none does.
+        """
         self.replies += 1
         if self._plan.acting(("kill",), now - self._powered, self.replies):
             os.kill(os.getpid(), signal.SIGKILL)
@@ -141,7 +144,10 @@ class WireFaults(Generic[Accepted]):
         return next((fault for fault in [*planned, *self._now(self.replies)] if isinstance(fault, Interruption)), None)
 
     def arriving(self, data: bytes, at: float) -> list[tuple[float, bytes]]:
-        """Return what arrives, and when (s), instead of the reply `data` at `at`: the one counted last."""
+        """Return what arrives at the host instead of the reply `data`, as (time s, bytes).
+
+        at: s, when the reply would arrive. Call `interrupts_reply` before, which counts the reply.
+        """
         pieces = [(at, data)]
         planned = [self._made(fault) for fault in self._planned(_DAMAGES, at)]
         for fault in [*planned, *self._now(self.replies)]:
@@ -155,7 +161,7 @@ class WireFaults(Generic[Accepted]):
         return self._plan.acting(tuple(kinds), now - self._powered, self.replies)
 
     def _made(self, fault: PlannedFault) -> WireFault:
-        """Return the damage that a planned fault does to the present reply."""
+        """Return the link fault for `fault`, a fault of the plan that acts on the present reply."""
         if fault.kind in {"noise", "flood"}:
             return NoiseBefore(noise=self._plan.random(self.replies).bytes(int(fault.amount)))
         if fault.kind == "truncate":
@@ -163,7 +169,7 @@ class WireFaults(Generic[Accepted]):
         return DelayReplies(seconds=fault.amount) if fault.kind == "delay" else _DAMAGES[fault.kind]
 
     def _now(self, number: int) -> list[Accepted]:
-        """Return the faults that act on request or reply `number`, counted from 1."""
+        """Return the injected faults that act on request or reply `number`, counted from 1."""
         return [fault for first, fault in self._injected if first < number <= first + fault.count]
 
 
@@ -187,16 +193,16 @@ def _damaged(fault: WireFault, data: bytes, at: float) -> list[tuple[float, byte
 
 
 class Faulty(Protocol):
-    """A motor whose drive can have faults."""
+    """An emulated motor whose drive can have faults."""
 
     def follow_plan(self, plan: FaultPlan) -> frozenset[str]:
-        """Let the faults of `plan` happen; return the kinds that it knows."""
+        """Add the faults of `plan`. Return the kinds of faults that the drive can have."""
 
 
 def follow(plan: FaultPlan, link: WireFaults[Any], motors: Iterable[Faulty], powered: float, *, can: bool) -> None:
-    """Let the faults of `plan` happen on an emulated link and in its drives, which were powered at `powered` s.
+    """Add the faults of `plan` to an emulated link and to its drives, which were powered at `powered`, s.
 
-    can: whether the link is a CAN bus. Raises ValueError for a kind that cannot happen there.
+    can: whether the link is a CAN bus. Raises ValueError for a kind of fault that the link and its drives cannot have.
     """
     known = (_ON_THE_WIRE - _SERIAL_ONLY if can else _ON_THE_WIRE - {"bus-off"}).union(
         *(motor.follow_plan(plan) for motor in motors)

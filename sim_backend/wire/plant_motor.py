@@ -1,7 +1,7 @@
-"""The motor of an emulated drive: the simulator's plant, carried in time under the torque that the drive demands.
+"""The motor of an emulated drive: the simulator's plant under the torque that the drive demands.
 
-Every emulated drive uses this one motor and gives it a demand law of its own: impedance, current, cascades. A law that
-depends on what the drive measures is evaluated every `BEAT`, as firmware does; a constant torque needs no beat.
+Every emulated drive uses this motor with its own demand law: impedance, current, or cascades. A law that depends on
+measurements is evaluated every `BEAT`, as in firmware. A constant torque needs no repeated evaluation.
 """
 
 from __future__ import annotations
@@ -26,33 +26,34 @@ from sim_backend.plant import (
 from sim_backend.wire.drive_faults import DriveFaults
 
 BEAT = 1e-3
-"""s between two evaluations of a demand law."""
+"""s between two evaluations of a demand law that depends on measurements."""
 _RESTING = 1e-9
-"""rad/s and N m below which a motor rests."""
+"""rad/s and N m: with less speed and torque than this, a motor is at rest."""
 
 
 class DemandLaw(Protocol):
-    """The part of a drive's firmware that demands torque of its current loop."""
+    """The part of a drive's firmware that computes the torque demanded of its current loop."""
 
     def beats(self, enabled: bool) -> bool:
-        """Return whether time passes in steps of `BEAT`: the demand depends on what is measured."""
+        """Return whether the law must be evaluated every `BEAT`, because the torque depends on measurements."""
 
     def demand(self, motor: PlantMotor[Any]) -> float:
-        """Return the torque demanded of an enabled motor until the next beat, N m."""
+        """Return the torque that an enabled motor must make until the next evaluation, N m."""
 
     def at_rest(self, motor: PlantMotor[Any]) -> Self:
-        """Return the law that holds after the motor is enabled or disabled: no set-point, no integral."""
+        """Return the law to use after the motor is enabled or disabled: without set-point and with zero integral."""
 
 
 Law = TypeVar("Law", bound=DemandLaw)
 
 
 class PlantMotor(Generic[Law]):
-    """A plant under a demand law. Times are s since it was made; everything is at the motor's output shaft.
+    """A plant whose motor follows a demand law. Times are s since the object was made. All quantities are at the
+    motor's output shaft.
 
-    note: called after each step with the time, s, and the torque in the coupling, N m. commanded: the torque demanded
-    in the last step, N m, 0 while disabled. observer: called after each step, and when the motor is enabled or
-    disabled.
+    note: a function that is called after each step with the time, s, and the torque in the coupling, N m. commanded:
+    the torque demanded in the last step, N m; 0 while disabled. observer: a function that is called after each step,
+    and when the motor is enabled or disabled.
     """
 
     def __init__(self, parameters: SimParameters, law: Law, note: Callable[[float, float], None] | None = None) -> None:
@@ -71,7 +72,7 @@ class PlantMotor(Generic[Law]):
 
     @property
     def time(self) -> float:
-        """The time it has been carried to, s."""
+        """The time up to which the motor is simulated, s."""
         return float(self._path[CLOCK, TIME])
 
     @property
@@ -81,22 +82,24 @@ class PlantMotor(Generic[Law]):
 
     @property
     def velocity(self) -> float:
-        """The speed as the drive filters it, rad/s."""
+        """The speed after the drive's velocity filter, rad/s."""
         return self._faults.speed(float(self._path[STATE, VELOCITY]), self.time)
 
     @property
     def rate(self) -> float:
-        """The speed, rad/s."""
+        """The true speed, rad/s."""
         return float(self._path[STATE, MOTOR_RATE])
 
     @property
     def torque(self) -> float:
-        """The torque that the current makes, N m."""
+        """The motor torque that the current makes, N m."""
         return float(self._path[STATE, TORQUE])
 
     @property
     def demand(self) -> float:
-        """The torque demanded of the current loop now, N m; 0 while disabled. A law with an integral advances it."""
+        """The torque that is demanded of the current loop now, N m; 0 while disabled. Reading it advances the integral
+        of a law that has one.
+        """
         return self.law.demand(self) if self.enabled else 0.0
 
     @property
@@ -110,7 +113,9 @@ class PlantMotor(Generic[Law]):
         return self._faults.watchdog_broken(self.time)
 
     def follow_plan(self, plan: FaultPlan) -> frozenset[str]:
-        """Let the faults of `plan` happen, whose times are s since it was made; return the kinds that it knows."""
+        """Add the faults of `plan`, whose times are s since the object was made. Return the kinds of faults that the
+        motor can have.
+        """
         self._faults = DriveFaults(plan)
         return DriveFaults.KNOWN
 
@@ -120,21 +125,23 @@ class PlantMotor(Generic[Law]):
         return float(coupling_torque(self._path[STATE], self._constants))
 
     def warm_to(self, temperature: float) -> None:
-        """Heat winding and housing to `temperature` degC at once."""
+        """Set the temperature of winding and housing to `temperature`, degC."""
         self._path[STATE, HOUSING - 1] = self._path[STATE, HOUSING] = temperature
 
     def follow(self, law: Law) -> None:
-        """Replace the demand law."""
+        """Set the demand law."""
         self.law = law
 
     def enable(self) -> None:
-        """Let current flow."""
+        """Switch the output stage on, so that current can flow."""
         self.law = self.law.at_rest(self)
         self.enabled = True
         self.observer()
 
     def disable(self) -> None:
-        """Open the output stage: no current from now on. One that a fault keeps closed keeps its torque."""
+        """Switch the output stage off, so that no current flows. If a fault keeps the output stage on, the torque
+        stays.
+        """
         self.law = self.law.at_rest(self)
         self.enabled = False
         if self._faults.stays_on(self.time):
@@ -145,7 +152,7 @@ class PlantMotor(Generic[Law]):
         self.observer()
 
     def run(self, until: float) -> None:
-        """Carry the plant to `until`, s; nothing happens where that is past."""
+        """Simulate the plant up to `until`, s. Has no effect if this time has passed."""
         while self.time < until:
             end = until
             if self.enabled or not self._faults.stays_on(self.time):
@@ -159,5 +166,7 @@ class PlantMotor(Generic[Law]):
 
     @property
     def _rests(self) -> bool:
-        """Whether nothing moves and nothing is demanded, so that the next beats would change nothing."""
+        """Return whether the motor does not move and no torque is demanded, so that simulating further would change
+        nothing.
+        """
         return self.commanded == 0.0 and max(abs(self.rate), abs(self.torque)) < _RESTING

@@ -1,6 +1,7 @@
-"""The torque log of emulated drives: a CSV file of what each commands and makes, which survives a kill.
+"""Write a log of the torque of emulated drives: a CSV file of commanded and acting torque, which is complete even if
+the process is killed.
 
-Its rows are the evidence of a safety test: when the torque of a drive ended, whoever died and however.
+The rows show in a safety test when the torque of a drive ended, whichever process was killed.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ if TYPE_CHECKING:
     from sim_backend.wire.plant_motor import PlantMotor
 
 WatchdogState = Literal["none", "off", "on", "tripped"]
-"""The state of a drive's watchdog. none: the drive has none. off: it does not watch now."""
+"""The state of a drive's watchdog. none: the drive has no watchdog. off: the watchdog is not active now. on: it is
+active. tripped: it has stopped the drive.
+"""
 COLUMNS = ("time_s", "drive", "commanded_Nm", "acting_Nm", "enabled", "watchdog")
 _STEP = 1e-3  # s between two rows in which only the acting torque differs
 
 
 class Watched(Protocol):
-    """A drive with a motor, and with a watchdog or without one."""
+    """An emulated drive whose motor and watchdog can be logged."""
 
     @property
     def motor(self) -> PlantMotor[Any]:
@@ -29,15 +32,16 @@ class Watched(Protocol):
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of its watchdog."""
+        """The state of the drive's watchdog."""
 
 
 class TorqueLog:
-    """A new CSV file at `path`, a line a change: see `COLUMNS`. Every line is with the operating system when it ends.
+    """A new CSV file at `path` with one line for each change: see `COLUMNS`. Every line is passed to the operating
+    system as soon as it is complete.
 
-    time_s is `time.monotonic()` of this machine, which other processes share. commanded_Nm: the torque demanded of the
-    current loop, 0 while disabled; acting_Nm: the torque that the current makes; both at the motor's output shaft.
-    Raises FileExistsError if there is a file, OSError if none can be made.
+    time_s: `time.monotonic()` of this computer, which is the same in other processes. commanded_Nm: the torque demanded
+    of the current loop, 0 while disabled. acting_Nm: the torque that the current makes. Both torques are at the motor's
+    output shaft. Raises FileExistsError if the file exists, OSError if it cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -46,13 +50,15 @@ class TorqueLog:
         self._line(COLUMNS)
 
     def watch_all(self, drives: Iterable[Watched], powered: float) -> None:
-        """Write a row at each change of `drives`, which were powered at `powered` s and are counted from 0."""
+        """Write a row at each change of the torque or watchdog of `drives`. The drives were powered at `powered`, s,
+        and are numbered from 0.
+        """
         for number, drive in enumerate(drives):
             drive.motor.observer = _Changes(drive, str(number), powered, self._line).observe
             drive.motor.observer()
 
     def close(self) -> None:
-        """Close the file; nothing is watched any more."""
+        """Close the file; changes are no longer logged."""
         os.close(self._file)
 
     def _line(self, fields: tuple[str, ...]) -> None:
@@ -60,7 +66,7 @@ class TorqueLog:
 
 
 class _Changes:
-    """The rows of one drive."""
+    """Writes the rows of one drive."""
 
     def __init__(self, drive: Watched, name: str, powered: float, line: Callable[[tuple[str, ...]], None]) -> None:
         self._drive, self._name, self._powered, self._line = drive, name, powered, line

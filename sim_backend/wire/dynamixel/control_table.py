@@ -1,8 +1,8 @@
-"""The control table as memory with rules: what may be read, what may be written, when, and with which error.
+"""The control table of an emulated DYNAMIXEL servo: which registers may be read or written, when, and with which error.
 
 Source: e-manual, "Protocol 2.0", table of errors, and the notes above each control table ("Data in the EEPROM Area can
-only be written when the value of Torque Enable(64) is cleared to 0"). A read may span addresses without an item, which
-read as zero, but it must begin at a defined one; the manual is silent on this.
+only be written when the value of Torque Enable(64) is cleared to 0"). The manual does not say whether a read may span
+addresses without an item. Here it may, if it begins at an item; such addresses read as zero.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ _BACKED_UP = frozenset(
         "indirect_address",
     }
 )
-"""The items in RAM that a backup holds beside the whole EEPROM ("Control Table Backup")."""
+"""The items in RAM that a backup stores in addition to the whole EEPROM ("Control Table Backup")."""
 _RESTORES_RAM = 0x02
-"""Bit of Startup Configuration(60)."""
+"""The bit of Startup Configuration(60) with which a start restores the RAM items of the backup."""
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
 
 
 class ControlTable:
-    """The rules of one servo's control table over its `registers`."""
+    """The rules of one servo's control table. registers: the memory of the servo."""
 
     def __init__(self, model: DynamixelModel) -> None:
         self.registers = Registers(model.items)
@@ -47,26 +47,28 @@ class ControlTable:
         self._backup: dict[int, int] = {}
 
     def power_up(self) -> None:
-        """Set what lies in RAM to its initial value, or to the backup's; the EEPROM and the backup keep theirs."""
+        """Set the items in RAM to their initial values, or to those of the backup. The EEPROM and the backup do not
+        change.
+        """
         self.registers.reset(EEPROM_END)
         if self.registers.get("startup_configuration") & _RESTORES_RAM:
             self._copy_back(lambda address: address >= EEPROM_END)
         self.registers.put("backup_ready", int(bool(self._backup)))
 
     def back_up(self) -> None:
-        """Keep a copy of the EEPROM and of the settings in RAM."""
+        """Store a backup of the EEPROM and of the settings in RAM."""
         items = self.registers.items.values()
         kept = [item for item in items if item.address < EEPROM_END or item.name in _BACKED_UP]
         self._backup = {item.address: self.registers.value(item) for item in kept}
         self.registers.put("backup_ready", 1)
 
     def restore(self) -> bool:
-        """Set the EEPROM to the copy; return False if there is none."""
+        """Set the EEPROM to the backup. Return False if there is no backup."""
         self._copy_back(lambda address: address < EEPROM_END)
         return bool(self._backup)
 
     def read(self, address: int, size: int) -> tuple[Error, bytes]:
-        """Return the error and the bytes of a Read."""
+        """Return the error and the bytes of a read of `size` bytes."""
         memory = self.registers.memory
         if size == 0 or address not in self._defined or address + size > len(memory):
             return Error.ACCESS, b""
@@ -76,7 +78,8 @@ class ControlTable:
         return Error.NONE, bytes(memory[self._behind(a)] for a in range(address, address + size))
 
     def check(self, address: int, data: bytes, *, torque: bool, tripped: bool) -> tuple[Error, list[tuple[Item, int]]]:
-        """Return the error of a Write of `data`, and where there is none the items with their new values.
+        """Return the error of a write of `data`; without an error, also the items with their new values. Nothing is
+        changed.
 
         torque: whether the torque is on. tripped: whether the bus watchdog has stopped the servo.
         """
@@ -94,13 +97,15 @@ class ControlTable:
         return (Error.NONE, changes) if data else (Error.DATA_LENGTH, [])
 
     def _copy_back(self, wanted: Callable[[int], bool]) -> None:
-        """Set the items at the `wanted` addresses to what the backup holds."""
+        """Set the items at the addresses `wanted` to their values in the backup."""
         for address, value in self._backup.items():
             if wanted(address):
                 self.registers.store(self.registers.items[address], value)
 
     def _behind(self, address: int) -> int:
-        """Return the address behind an address: of an indirect data item the one that its address item names."""
+        """Return the address that is accessed through `address`: for an indirect data item, the address that its
+        address item holds.
+        """
         pointer = self._indirect.get(address)
         if pointer is None:
             return address

@@ -1,8 +1,10 @@
-"""One servo on the bus: the effect of each instruction on its control table and its motor, and the replies.
+"""An emulated DYNAMIXEL servo with protocol 2.0: the effect of each instruction on control table and motor, and the
+replies.
 
 Source: e-manual, "Protocol 2.0" for the instructions; "Bus Watchdog(98)", "Operating Mode(11)", "Shutdown(63)" and
-"Hardware Error Status(70)" of the models' pages for what happens inside. What the manual leaves open: a tripped
-watchdog takes the current away in current mode and holds the position otherwise ("the DYNAMIXEL will stop").
+"Hardware Error Status(70)" of the models' pages for the inner behaviour. The manual says only that with a tripped
+watchdog "the DYNAMIXEL will stop". Here the current goes to zero in current mode, and the position is held in the other
+modes.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
-"""s without an answer after a reboot; not in the manual."""
+"""s after a reboot in which the servo does not reply; the manual gives no value."""
 ALERT = 0x80
 VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of Hardware Error Status(70)."""
@@ -39,9 +41,10 @@ _PWM_LSB = 1.0 / 885.0
 
 
 class DynamixelDevice:
-    """A servo of `model` (a key of `tables.MODELS`) with the plant of `parameters` behind its horn.
+    """An emulated servo of `model` (a key of `tables.MODELS`). The plant of `parameters` is attached to its horn.
 
-    Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model that is not in the table.
+    Times are s on the bus's clock. now: s, when the servo is powered. Raises KeyError for a model that is not in the
+    table.
     """
 
     def __init__(
@@ -71,13 +74,15 @@ class DynamixelDevice:
         self._turns_off = 0
         self.registers.put("goal_position", self._position())
         self.watchdog_broken = False
-        """The register trips and the motor turns on: seen on the 330 series, forum.robotis.com/t/4814."""
+        """Whether the watchdog register trips but the motor turns on, as seen on the 330 series,
+        forum.robotis.com/t/4814.
+        """
         self.ignores_torque_off = False
-        """Torque-off is acknowledged and not done."""
+        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
 
     @property
     def line(self) -> LineSettings:
-        """Its part on the line."""
+        """The servo's settings for the serial line: id, baud rate, return delay."""
         get = self.registers.get
         return LineSettings(
             get("id"),
@@ -90,12 +95,12 @@ class DynamixelDevice:
 
     @property
     def tripped(self) -> bool:
-        """Return whether the bus watchdog has stopped it."""
+        """Return whether the bus watchdog has stopped the servo."""
         return self.registers.get("bus_watchdog") == -1
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of the bus watchdog, which watches while the torque is on."""
+        """The state of the bus watchdog, which is active while the torque is on."""
         if self.tripped:
             return "tripped"
         return "on" if self.motor.enabled and self.registers.get("bus_watchdog") > 0 else "off"
@@ -106,7 +111,7 @@ class DynamixelDevice:
         return self.motor.enabled
 
     def advance(self, now: float) -> None:
-        """Carry motor and watchdog to `now`."""
+        """Simulate motor and watchdog up to `now`."""
         period = self.registers.get("bus_watchdog") * 0.02
         if self.motor.enabled and period > 0.0 and now - self.heard > period:
             self.motor.run(self.heard + period - self._powered)
@@ -116,13 +121,13 @@ class DynamixelDevice:
             self.fail(OVERHEAT)
 
     def fail(self, bits: int) -> None:
-        """Latch hardware errors; those in Shutdown(63) take the torque away."""
+        """Latch the hardware errors `bits`. Errors that are selected in Shutdown(63) switch the torque off."""
         self.registers.put("hardware_error_status", self.registers.get("hardware_error_status") | bits)
         if bits & self.registers.get("shutdown"):
             self._torque(on=False)
 
     def reboot(self, now: float) -> None:
-        """Lose what is in RAM, the torque first, and answer again after the boot."""
+        """Switch the torque off, lose the contents of the RAM, and do not reply until the boot has ended."""
         self._torque(on=False)
         self.motor.disable()
         self._table.power_up()
@@ -132,7 +137,9 @@ class DynamixelDevice:
         self.ready = now + BOOT
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
+        """Execute `frame`, which is sent to this id or to all. Return the error byte and the parameters of the reply,
+        None if there is no reply.
+        """
         if frame.instruction == Instruction.PING and frame.sound:
             identity = self.registers.get("model_number").to_bytes(2, "little")
             return self.alerted(Error.NONE), identity + bytes([self._firmware])
@@ -145,7 +152,7 @@ class DynamixelDevice:
         return (self.alerted(error), b"") if level > 1 else None
 
     def _done(self, frame: Frame, now: float) -> Error:
-        """Execute an instruction that changes something; return its error."""
+        """Execute an instruction that changes the servo's state. Return its error."""
         if not frame.sound:
             return Error.CRC
         match frame.instruction:
@@ -167,13 +174,13 @@ class DynamixelDevice:
         return error
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
-        """The error and the bytes of a read at `now`."""
+        """Return the error and the bytes of a read of `size` bytes at `now`."""
         if address + size > 120:
             self._refresh(now)
         return self._table.read(address, size)
 
     def write(self, address: int, data: bytes) -> Error:
-        """Write as an instruction does; the error."""
+        """Write `data` as a write instruction does. Return the error."""
         mode = self.registers.get("operating_mode")
         error, changes = self._table.check(address, data, torque=self.motor.enabled, tripped=self.tripped)
         if error:
@@ -189,7 +196,7 @@ class DynamixelDevice:
         return Error.NONE
 
     def alerted(self, error: int) -> int:
-        """The error byte: the number, and the alert where a hardware error is latched."""
+        """Return the error byte: the error number, and the alert bit if a hardware error is latched."""
         return error | (ALERT if self.registers.get("hardware_error_status") else 0)
 
     def _written(self, frame: Frame) -> Error:
@@ -228,7 +235,7 @@ class DynamixelDevice:
         return Error.NONE
 
     def _clear(self, parameters: bytes) -> Error:
-        """Subtract whole turns from the position (0x01 'D' 'X' 'L' 0x22)."""
+        """Execute the instruction Clear (0x01 'D' 'X' 'L' 0x22): subtract whole turns from the position."""
         if parameters != b"\x01\x44\x58\x4c\x22":
             return Error.DATA_RANGE
         if abs(self.motor.velocity) > self.registers.get("moving_threshold") * RPM:
@@ -237,7 +244,9 @@ class DynamixelDevice:
         return Error.NONE
 
     def _backed_up(self, parameters: bytes, now: float) -> Error:
-        """Store the settings as a backup (0x01 'C' 'T' 'R' 'L') or restore them and reboot (0x02)."""
+        """Execute the instruction Control Table Backup: store a backup (0x01 'C' 'T' 'R' 'L'), or restore it and reboot
+        (0x02).
+        """
         if parameters not in {b"\x01CTRL", b"\x02CTRL"}:
             return Error.DATA_RANGE
         if self.motor.enabled:
@@ -251,7 +260,9 @@ class DynamixelDevice:
         return Error.NONE
 
     def _position(self) -> int:
-        """Return Present Position in counts: the angle of the horn, reversed by the drive mode, plus offset."""
+        """Return Present Position in counts: the angle of the horn, reversed if the drive mode says so, plus the homing
+        offset.
+        """
         counts = round(self._sign() * self.motor.position / COUNT)
         return counts + self.registers.get("homing_offset") - 4096 * self._turns_off
 
@@ -259,7 +270,7 @@ class DynamixelDevice:
         return -1 if self.registers.get("drive_mode") & 1 else 1
 
     def _mode_changed(self) -> None:
-        """Reset goals and profile, as in the manual's note on Operating Mode(11)."""
+        """Reset goals and profile when the operating mode changes, as the manual's note on Operating Mode(11) says."""
         r = self.registers
         r.put("goal_pwm", r.get("pwm_limit"))
         r.put("goal_current", r.get("current_limit"))
@@ -308,7 +319,7 @@ class DynamixelDevice:
         )
 
     def _refresh(self, now: float) -> None:
-        """Bring the present values up to `now`."""
+        """Write the present values at `now` (position, current ...) to the control table."""
         r, motor, sign = self.registers, self.motor, self._sign()
         r.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
         velocity = round(sign * motor.velocity / RPM)

@@ -33,12 +33,13 @@ def serve(
     log: TorqueLog | None = None,
     faults: FaultPlan | None = None,
 ) -> PtyLine:
-    """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
+    """Return a line with servos of one model, each with its own plant, at `link`, a symlink to a pty.
 
-    `with serve(...) as line:` answers from a thread; `serve(...).serve()` from this one until `line.stop()`.
-    parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's joint on
-    the horn. timing: None answers at once. log: of the torque of each. faults: that happen. Raises ValueError for a
-    model, an id or a baud rate that cannot be, FileExistsError if `link` is a file.
+    `with serve(...) as line:` serves the line in a thread; `serve(...).serve()` serves it in this thread until
+    `line.stop()`. parameters: the plant, whose torque constant and winding are replaced by the model's; None: the
+    paper's joint at the horn. timing: durations on the line; None: nothing takes time. log: where the torque of each
+    servo is logged. faults: the faults that will happen. Raises ValueError for an impossible model, id or baud rate,
+    FileExistsError if `link` is a file.
     """
     mx = model in MX_MODELS
     make: type[PacketServo] = MxDevice if mx else DynamixelDevice

@@ -1,9 +1,10 @@
-"""One MX servo with protocol 1.0: its control table, the effect of each instruction, and the replies.
+"""An emulated MX servo with protocol 1.0: its control table, the effect of each instruction, and the replies.
 
-Source: e-manual, "Protocol 1.0" and the pages of MX-64 and MX-106. Where they are silent: a write to an address without
-an item, to a read-only one, or to the EEPROM while it is locked, is a range error; a read may span addresses without
-an item, which read as zero; a positive current turns counter-clockwise, in which the position grows; in torque control
-mode the position is that of the wheel mode, within one turn; speeds and gains in the position modes have no effect.
+Source: e-manual, "Protocol 1.0" and the pages of MX-64 and MX-106. The following is not in the manual and is assumed
+here. A write to an address without an item, to a read-only item, or to the EEPROM while it is locked, is a range error.
+A read may span addresses without an item, which read as zero. A positive current turns counter-clockwise, in which the
+position grows. In torque control mode the position is within one turn, as in wheel mode. Speeds and gains in the
+position modes have no effect.
 """
 
 from __future__ import annotations
@@ -23,19 +24,19 @@ if TYPE_CHECKING:
     from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
-"""s without an answer after the power comes; not in the manual."""
+"""s after power-on in which the servo does not reply; the manual gives no value."""
 MX_VOLTAGE, MX_ANGLE, MX_HEAT, MX_RANGE, MX_CHECKSUM, MX_OVERLOAD, MX_INSTRUCTION = 1, 2, 4, 8, 16, 32, 64
 """Bits of the error byte."""
 _REBOOTS = 40
-"""The first firmware with the instruction Reboot."""
+"""The first firmware version that has the instruction Reboot."""
 _TURN, _MULTI_TURN, _CW = 4096, 4095, 1024
 
 
 class MxDevice:
-    """A servo of `model` (a key of `MX_MODELS`) with the plant of `parameters` behind its horn.
+    """An emulated servo of `model` (a key of `MX_MODELS`). The plant of `parameters` is attached to its horn.
 
-    Times are s on the bus's clock, `now` when it is powered. Raises KeyError for a model or StopIteration for a baud
-    rate that is not in the tables.
+    Times are s on the bus's clock. now: s, when the servo is powered. Raises KeyError for a model, or StopIteration for
+    a baud rate, that is not in the tables.
     """
 
     watchdog_state: WatchdogState = "none"
@@ -55,9 +56,9 @@ class MxDevice:
         self.get, self.put = self.registers.get, self.registers.put
         self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
         self.errors = 0
-        """Hardware errors that hold: bits of the error byte."""
+        """The present hardware errors, as bits of the error byte."""
         self.ignores_torque_off = False
-        """Torque-off is acknowledged and not done."""
+        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
         self._powered = self._booted = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self.put("id", ident)
@@ -68,7 +69,9 @@ class MxDevice:
 
     @property
     def line(self) -> LineSettings:
-        """Its part on the line; a baud rate is 2 Mbit/s over the value plus one where the manual's table has none."""
+        """The servo's settings for the serial line. A baud rate that is not in the manual's table is 2 Mbit/s /
+        (register value + 1).
+        """
         get = self.get
         code = get("baud_rate")
         baudrate = MX_BAUD.get(code, 2_000_000 // (code + 1))
@@ -80,7 +83,7 @@ class MxDevice:
         return self.motor.enabled
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now`; heat is an error as long as it lasts."""
+        """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
         self.motor.run(now - self._powered)
         hot = self.motor.temperature > self.get("temperature_limit")
         if hot:
@@ -89,14 +92,14 @@ class MxDevice:
             self.errors &= ~MX_HEAT
 
     def fail(self, bits: int) -> None:
-        """Report hardware errors; those in Shutdown(18) take Torque Limit(34) to zero."""
+        """Report the hardware errors `bits`. Errors that are selected in Shutdown(18) set Torque Limit(34) to zero."""
         self.errors |= bits
         if bits & self.get("shutdown"):
             self.put("torque_limit", 0)
             self._hand_over_goals()
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment: what is in RAM is gone, the torque first."""
+        """Cut the servo's power for a moment: the torque goes off and the contents of the RAM are lost."""
         self.motor.disable()
         self.errors = 0
         self._registered = None
@@ -106,11 +109,13 @@ class MxDevice:
         self._booted, self.ready = now, now + BOOT
 
     def alerted(self, error: int) -> int:
-        """The error byte: what went wrong with the instruction, and the hardware errors."""
+        """Return the error byte: the error of the instruction together with the hardware errors."""
         return error | self.errors
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
+        """Execute `frame`, which is sent to this id or to all. Return the error byte and the parameters of the reply,
+        None if there is no reply.
+        """
         if frame.instruction == Instruction.PING and frame.sound:
             return self.alerted(0), b""
         if frame.instruction == Instruction.READ and frame.sound:
@@ -121,14 +126,14 @@ class MxDevice:
         return (self.alerted(error), b"") if self.line.level > 1 else None
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
-        """The error and the bytes of a read at `now`."""
+        """Return the error and the bytes of a read of `size` bytes at `now`."""
         if size == 0 or address + size > len(self.registers.memory):
             return MX_RANGE, b""
         self._refresh(now)
         return 0, bytes(self.registers.memory[address : address + size])
 
     def write(self, address: int, data: bytes) -> int:
-        """Write as an instruction does; the error."""
+        """Write `data` as a write instruction does. Return the error."""
         error, changes = self._checked(address, data)
         if error:
             return error
@@ -165,7 +170,9 @@ class MxDevice:
         return 0
 
     def _checked(self, address: int, data: bytes) -> tuple[int, list[tuple[Item, int]]]:
-        """The error of a write, and where there is none the items with their new values."""
+        """Return the error of a write of `data`; without an error, also the items with their new values. Nothing is
+        changed.
+        """
         changes: list[tuple[Item, int]] = []
         for item, raw in self.registers.covered(address, data):
             locked = item is not None and item.address < MX_EEPROM_END and self.get("lock") == 1
@@ -208,14 +215,14 @@ class MxDevice:
             self.motor.law.goals = Goals(mode=CURRENT_POSITION, current=share, position=goal * COUNT)
 
     def _position(self) -> int:
-        """Present Position in counts: over many turns in multi-turn mode, else within one."""
+        """Return Present Position in counts: over many turns in multi-turn mode, else within one turn."""
         counts = round(self.motor.position / COUNT)
         if self._multi_turn and not self.get("torque_control"):
             return counts + self.get("multi_turn_offset")
         return counts % _TURN
 
     def _refresh(self, now: float) -> None:
-        """Bring the present values up to `now`."""
+        """Write the present values at `now` (position, current ...) to the control table."""
         motor = self.motor
         self.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
         self.put("present_position", self._position())
@@ -233,5 +240,5 @@ def _signed(value: int) -> int:
 
 
 def _directed(value: int) -> int:
-    """A number as 10 bits with the direction in the eleventh: clockwise is negative."""
+    """Return a number encoded in 10 bits with the direction in bit 10, which is set for clockwise (negative)."""
     return min(1023, abs(value)) | (_CW if value < 0 else 0)

@@ -1,4 +1,6 @@
-"""The servos of the X series, and the MX servos with protocol 1.0, from table.toml, which names its sources."""
+"""The emulated DYNAMIXEL models: the X series and the MX servos with protocol 1.0. They are read from table.toml, which
+names its sources.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ from sim_backend.wire.packets.regulator import CURRENT, CURRENT_POSITION, EXTEND
 
 @dataclass(frozen=True, slots=True)
 class DynamixelModel:
-    """A servo as its page describes it.
+    """A DYNAMIXEL model as its manual page describes it.
 
-    current_lsb: A a count, 0 if it measures none. stall: V, A, N m at stall.
-    indirect: ranges of (first address item, first data item, slots).
+    current_lsb: A in one count of current, 0 if the servo measures none. stall: voltage V, current A and torque N m at
+    stall. indirect: the ranges of indirect addressing, each as (first address item, first data item, number of slots).
     """
 
     number: int
@@ -27,15 +29,15 @@ class DynamixelModel:
 
 
 BAUD = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000)
-"""bit/s by the code in Baud Rate(8)."""
+"""bit/s by the value of Baud Rate(8)."""
 
 MODES = (CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM)
 
 RPM = 0.229 * 2.0 * math.pi / 60.0
-"""rad/s a count of velocity: 0.229 rev/min."""
+"""rad/s in one count of velocity of an X servo: 0.229 rev/min."""
 
 MX_RPM = 0.114 * 2.0 * math.pi / 60.0
-"""The same of the MX servos: 0.114 rev/min."""
+"""rad/s in one count of velocity of an MX servo: 0.114 rev/min."""
 
 MX_EEPROM_END = 24
 MX_BAUD = {
@@ -82,4 +84,4 @@ def _indirect(ranges: list[list[int]]) -> list[Item]:
 _ALL = {name: _model(name) for name in _TABLE["models"]}
 MODELS = {name: model for name, model in _ALL.items() if not name.startswith("mx")}
 MX_MODELS = {name: model for name, model in _ALL.items() if name.startswith("mx")}
-"""By the name used in stand files. The stall point is the one at the recommended voltage."""
+"""The MX models by the name used in stand files. The stall point is that at the recommended voltage."""

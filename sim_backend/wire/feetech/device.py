@@ -1,11 +1,11 @@
-"""One Feetech servo on the line: its memory, the effect of each instruction, and the replies.
+"""An emulated Feetech servo: its memory, the effect of each instruction, and the replies.
 
-Sources: the vendor's protocol manual and memory tables. Where they are silent: a value out of range or for a read-only
-address is ignored, and answered like any other; a read may span addresses without an item, which read as zero; a
-request with a wrong checksum is not answered; an error named in Unloading Condition(19) switches the output off until
-it is over and Torque Enable(40) is written again, an overload only reduces it to Protective Torque. A write to the
-EEPROM while the lock is 1 acts and is forgotten without power. Gains, dead zones and acceleration have no
-effect, nor the LED.
+Sources: the vendor's protocol manual and memory tables. The following is not in these sources and is assumed here. A
+write of a value out of range, or to a read-only address, is confirmed but ignored. A read may span addresses without an
+item, which read as zero. A request with a wrong checksum gets no reply. An error that is selected in Unloading
+Condition(19) switches the output off until the error has ended and Torque Enable(40) is written again; an overload only
+reduces the output to Protective Torque. A write to the EEPROM while the lock is 1 takes effect but is lost without
+power. Gains, dead zones, acceleration and the LED have no effect.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
-"""s without an answer after the power comes; not in the manual."""
+"""s after power-on in which the servo does not reply; the manual gives no value."""
 VOLTAGE, ENCODER, HEAT, OVER_CURRENT, ANGLE, OVERLOAD = 1, 2, 4, 8, 16, 32
 """Bits of Servo Status(65), which every reply carries."""
 _TURN = 4096
@@ -43,10 +43,10 @@ _RECENTRE = 128
 
 
 class FeetechDevice:
-    """A servo of `model` (a key of `MODELS`) with the plant of `parameters` behind its output.
+    """An emulated servo of `model` (a key of `MODELS`). The plant of `parameters` is attached to its output.
 
-    Times are s on the bus's clock, `now` when it is powered. joint: the past of the torque in the coupling. Raises
-    KeyError for a model and ValueError for a baud rate that is not in the tables.
+    Times are s on the bus's clock. now: s, when the servo is powered. joint: record of the torque in the coupling.
+    Raises KeyError for a model, and ValueError for a baud rate, that is not in the tables.
     """
 
     watchdog_state: WatchdogState = "none"
@@ -69,9 +69,9 @@ class FeetechDevice:
         plant = parameters or joint_at_horn(self.model)
         self.motor = PlantMotor(plant, Regulator(self.model), self.joint.note)
         self.errors = 0
-        """Errors that hold: bits of the status."""
+        """The present errors, as bits of the status."""
         self.ignores_torque_off = False
-        """Torque-off is acknowledged and not done."""
+        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
         self._powered = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._centre = 1023 // 2 if self.model.big else 0
@@ -85,7 +85,9 @@ class FeetechDevice:
 
     @property
     def line(self) -> LineSettings:
-        """Its part on the line: pings and reads are always answered, and a Sync Read but by an SCS."""
+        """The servo's settings for the serial line. Pings and reads are always answered; a Sync Read is answered by all
+        series except SCS.
+        """
         get = self.get
         return LineSettings(
             get("id"),
@@ -106,7 +108,7 @@ class FeetechDevice:
         return self.joint.mean(begin - self._powered, end - self._powered)
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now`; heat is an error as long as it lasts."""
+        """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
         self.motor.run(now - self._powered)
         if self.motor.temperature > self.get("temperature_limit"):
             self.fail(HEAT)
@@ -114,7 +116,7 @@ class FeetechDevice:
             self.errors &= ~HEAT
 
     def fail(self, bits: int) -> None:
-        """Report errors; those in Unloading Condition(19) switch the output off."""
+        """Report the errors `bits`. Errors that are selected in Unloading Condition(19) switch the output off."""
         self.errors |= bits
         if bits & self.get("unloading_condition") & ~OVERLOAD:
             self.motor.disable()
@@ -122,7 +124,7 @@ class FeetechDevice:
         self._hand_over_goals()
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment: what is in RAM is gone, the torque first."""
+        """Cut the servo's power for a moment: the torque goes off and the contents of the RAM are lost."""
         self.motor.disable()
         self.errors = 0
         self._registered = None
@@ -134,12 +136,16 @@ class FeetechDevice:
         self.ready = now + BOOT
 
     def alerted(self, error: int) -> int:
-        """Return the error byte of a reply: the errors that hold; an instruction has none of its own."""
+        """Return the error byte of a reply: the servo's present errors. `error` is ignored, because instructions have
+        no errors of their own.
+        """
         del error
         return self.errors
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`, sent to this id or to all; return error and parameters, None if it does not reply."""
+        """Execute `frame`, which is sent to this id or to all. Return the error byte and the parameters of the reply,
+        None if there is no reply.
+        """
         if not frame.sound:
             return None
         if frame.instruction == Instruction.PING:
@@ -151,13 +157,13 @@ class FeetechDevice:
         return (self.errors, b"") if self.get("response_level") and frame.id != BROADCAST else None
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
-        """Return the error byte and the bytes of a read at `now`; what lies behind the memory reads as zero."""
+        """Return the error byte and the bytes of a read at `now`. Addresses beyond the memory read as zero."""
         del now
         self._refresh()
         return self.errors, bytes(self.registers.memory[address : address + size]).ljust(size, b"\0")
 
     def write(self, address: int, data: bytes) -> int:
-        """Write as an instruction does; return the error byte."""
+        """Write `data` as a write instruction does. Return the error byte."""
         written = set()
         for item, raw in self.registers.covered(address, data):
             if item is not None and item.writable and len(raw) == item.size:
@@ -205,7 +211,9 @@ class FeetechDevice:
             self.put("torque_enable", 0 if wanted == 1 else wanted)
 
     def _hand_over_goals(self) -> None:
-        """Give the goals to the loops; the mode is in the order of this series."""
+        """Pass the goals in the memory to the control loops, with the meaning that each mode number has in this
+        series.
+        """
         amperes = self.model.stall[1]
         mode = self._mode()
         limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
@@ -236,7 +244,7 @@ class FeetechDevice:
         return (CURRENT_POSITION, SPEED, third, fourth)[self.get("operating_mode")]
 
     def _goal(self) -> int:
-        """Return the goal in counts over any number of turns, near the turn in which the servo is."""
+        """Return the goal position in counts over any number of turns: the one nearest to the servo's present turn."""
         goal, low, high = (self.get(n) for n in ("goal_position", "min_position_limit", "max_position_limit"))
         if low == high == 0:
             return goal
@@ -245,7 +253,7 @@ class FeetechDevice:
         return turn + max(low, min(high, goal))
 
     def _speed_unit(self) -> float:
-        """rad/s a count of speed."""
+        """The rad/s in one count of speed."""
         single = self.model.big or (not self.registers.has("goal_torque") and self.get("phase") & _SINGLE_STEPS)
         return self.model.count * (1 if single else 50)
 
@@ -253,14 +261,14 @@ class FeetechDevice:
         return round(self.motor.position / self.model.count) + self._centre
 
     def _position(self) -> int:
-        """Return Present Position: over many turns where Phase(18) says so, else within one."""
+        """Return Present Position: over many turns if Phase(18) says so, else within one turn."""
         counts = self._counts()
         if self.model.big:
             return max(0, min(1023, counts))
         return counts if self.get("phase") & _WHOLE_ANGLE else counts % _TURN
 
     def _refresh(self) -> None:
-        """Bring the present values up to the motor's time."""
+        """Write the present values (position, current ...) to the memory."""
         motor, law = self.motor, self.motor.law
         speed = round(motor.velocity / self._speed_unit())
         self.put("present_position", self._position())

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 CELL = "+loadcell"
-"""Behind a model's name: with a torque cell at the joint of the first servo."""
+"""Suffix of a model's name that adds a torque cell at the joint of the first servo."""
 
 
 def serve(
@@ -35,12 +35,13 @@ def serve(
     log: TorqueLog | None = None,
     faults: FaultPlan | None = None,
 ) -> PtyLine | Pair:
-    """Return servos of one model, each with a plant of its own, at `link`, a symlink to a pty.
+    """Return a line with servos of one model, each with its own plant, at `link`, a symlink to a pty.
 
-    model: "sts3215+loadcell" for a torque cell at the first one's joint on a second pty, named as `link` with ".cell"
-    behind it. parameters: the plant, in which the motor's constant and winding are made the model's; None: the paper's
-    joint at the output. timing: None answers at once. log: of the torque of each. faults: that happen. Raises
-    ValueError for a model, an id or a baud rate that cannot be, FileExistsError if `link` is a file.
+    model: a model's name; "sts3215+loadcell" adds a torque cell at the joint of the first servo, on a second pty whose
+    name is `link` with ".cell" appended. parameters: the plant, whose torque constant and winding are replaced by the
+    model's; None: the paper's joint at the output. timing: durations on the line; None: nothing takes time. log: where
+    the torque of each servo is logged. faults: the faults that will happen. Raises ValueError for an impossible model,
+    id or baud rate, FileExistsError if `link` is a file.
     """
     name = model.removesuffix(CELL)
     if name not in MODELS:

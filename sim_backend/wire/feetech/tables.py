@@ -1,4 +1,4 @@
-"""Feetech's servos with their memory tables, from table.toml, which names its sources."""
+"""The emulated Feetech models with their memory tables. They are read from table.toml, which names its sources."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ BAUD = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 """bit/s by the value of Baud Rate(6)."""
 EEPROM_END = 40
 CURRENT_LSB = 6.5e-3
-"""A a count."""
+"""A in one count of current."""
 
 
 @dataclass(frozen=True, slots=True)
 class FeetechModel:
-    """A servo as its specification describes it.
+    """A Feetech model as its specification describes it.
 
-    number: main and sub version. firmware: major and minor. stall: V, A, N m at stall. count: rad a count of position.
-    big: words have the high byte first.
+    number: main and sub version. firmware: major and minor version. stall: voltage V, current A and torque N m at
+    stall. count: rad in one count of position. big: whether words have the high byte first.
     """
 
     number: tuple[int, int]
@@ -43,4 +43,4 @@ def _model(name: str) -> FeetechModel:
 
 
 MODELS = {name: _model(name) for name in table("feetech", "sim_backend.wire")["models"]}
-"""By the name used in stand files."""
+"""The Feetech models by the name used in stand files."""

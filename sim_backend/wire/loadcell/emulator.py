@@ -1,9 +1,9 @@
 """An emulated torque cell: a board with an HX711 that prints `micros,raw` lines, or values, on a pty.
 
-Source: HX711 data sheet (AVIA Semiconductor): 24 bit two's complement that stays at 7FFFFF or 800000 hex beyond its
-range, 10 or 80 conversions a second, settled after 400 or 50 ms, which is 4 conversions. The sheet does not say how
-its filter weighs these; here a reading is the plain mean over them. The first reading after power-on comes when it has
-settled. Wire times and the board's clock are the emulator's own.
+Source: HX711 data sheet (AVIA Semiconductor): 24 bit two's complement; 7FFFFF or 800000 hex beyond its range; 10 or 80
+conversions a second; settled after 400 or 50 ms, which is 4 conversions. The data sheet does not say how the
+converter's filter weighs these 4 conversions; here a reading is their plain mean. The first reading after power-on
+comes when the converter has settled. The times on the wire and the board's clock are this emulator's choice.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SETTLING = 4
-"""Conversions over which a reading is the mean."""
+"""Number of conversions whose mean is a reading."""
 SCALE = 1e-7
-"""N m a count, unless the stand file has another."""
+"""N m in one count, if the stand file states no other value."""
 _BOOT = 1.0  # s; the board's own start, before the converter settles
 _UNREAD = 1.0  # s after which lines that nobody has read are lost
 
 
 @dataclass(frozen=True, slots=True)
 class LoadCellBoard:
-    """The construction and the program of the board.
+    """The properties of an emulated board with a torque cell.
 
-    rate: conversions a second. scale: N m a count. tare: counts without torque. form: "micros,raw" or "value".
-    checksum: whether `*` and the exclusive or of the line end it. clock: seconds of its own a second. noise N m, white,
-    standard deviation; offset N m and drift N m/s on top of the tare. baudrate: bit/s. usb_latency: s that the adapter
-    holds bytes back; None: no time passes on the wire.
+    rate: conversions a second. scale: N m in one count. tare: counts without torque. form: "micros,raw" or "value".
+    checksum: whether a line ends with `*` and the exclusive or of its characters. clock: s that the board's clock
+    advances in one second. noise: white noise, standard deviation, N m. offset, drift: error of the zero, N m, and its
+    growth, N m/s. baudrate: bit/s. usb_latency: s that the adapter holds bytes back; None: nothing takes time.
     """
 
     rate: float = 80.0
@@ -61,7 +61,10 @@ class LoadCellBoard:
 
 
 class EmulatedLoadCell:
-    """The cell as bytes with times; it sends unasked. micros: of its clock when it is made at `now` s."""
+    """An emulated torque cell on a serial line: it prints lines without requests, as bytes with times.
+
+    micros: what the board's clock shows at `now`, s, when the object is made.
+    """
 
     def __init__(
         self,
@@ -80,17 +83,19 @@ class EmulatedLoadCell:
         self._rng = np.random.default_rng(seed)
         self._next = now + SETTLING / self.board.rate
         self.faults = WireFaults[SerialFault]()
-        """Each printed line is a reply."""
+        """The injected faults. Each printed line counts as a reply."""
 
     def advance(self, now: float) -> None:
-        """Do nothing: `receive` returns the lines of the last second, and older ones are lost."""
+        """Do nothing: `receive` returns the lines of the last second, and older lines are lost."""
 
     def due(self) -> float:
-        """Return when it prints its next line, s."""
+        """Return the time at which the cell prints its next line, s."""
         return self._next
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:  # noqa: ARG002 - it does not listen
-        """The lines it has printed by `now`, and when each has arrived; `baudrate` bit/s is what the host set."""
+        """Return the lines that the cell has printed by `now`, each with its time of arrival, s. baudrate: bit/s that
+        the host has set.
+        """
         out: list[tuple[float, bytes]] = []
         self._next += max(0, math.floor((now - _UNREAD - self._next) * self.board.rate)) / self.board.rate
         while self._next <= now and not self.unplugged:
@@ -129,7 +134,7 @@ class EmulatedLoadCell:
 
 
 def _misread(line: bytes, ratio: float) -> bytes:
-    """Return the bytes that a receiver at another speed reads: not text."""
+    """Return the bytes that a host with another baud rate receives for `line`: they are not text."""
     return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
 
 
@@ -139,11 +144,13 @@ BOARDS: Mapping[str, LoadCellBoard] = {
     "value": LoadCellBoard(form="value"),
     "adc-1khz": LoadCellBoard(rate=1000.0, checksum=True, baudrate=921_600),
 }
-"""The boards there are; the last is one with a 24 bit converter of 1000 readings a second."""
+"""The emulated boards by name. The last has a 24 bit converter with 1000 readings a second."""
 
 
 def of(sensors: SensorParameters, board: LoadCellBoard = BOARDS["hx711"]) -> LoadCellBoard:
-    """A board with the torque cell of [sim.sensors]: its noise, offset and drift, and a count no coarser than its."""
+    """Return `board` with the noise, offset and drift of the torque cell of [sim.sensors], and with one count no larger
+    than that cell's.
+    """
     return replace(
         board,
         scale=min(SCALE, sensors.torque_cell_lsb),
@@ -161,12 +168,12 @@ def serve(
     parameters: SimParameters | None = None,
     faults: FaultPlan | None = None,
 ) -> PtyLine:
-    """Return a cell at a joint at rest, at `link`, a symlink to a pty.
+    """Return an emulated torque cell at a joint without torque, at `link`, a symlink to a pty.
 
-    model: "hx711" prints `micros,raw`, "hx711-checked" ends its lines with a checksum, "value" prints counts as plain
-    numbers, "adc-1khz" 1000 lines a second with a checksum. baudrate: bit/s, None: the model's. A cell at a joint that
-    a motor turns comes with `hil emulate commander`. faults: that happen. Raises ValueError for an unknown model or
-    a baud rate that is not above 0.
+    model: "hx711" prints `micros,raw`; "hx711-checked" adds a checksum to each line; "value" prints counts as plain
+    numbers; "adc-1khz" prints 1000 lines a second with a checksum. baudrate: bit/s; None: the model's. faults: the
+    faults that will happen. For a cell at a joint that a motor turns, use `hil emulate commander`. Raises ValueError
+    for an unknown model or a baud rate that is not above 0.
     """
     if model not in BOARDS:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(BOARDS)}")
@@ -182,14 +189,14 @@ def serve(
 
 
 class Pair:
-    """A drive's line and the torque cell at its joint, each on a pty of its own."""
+    """The line of an emulated drive together with a torque cell at its joint, each on its own pty."""
 
     def __init__(self, line: PtyLine, cell: PtyLine) -> None:
         self._line = line
         self._cell = cell
 
     def serve(self) -> None:
-        """Serve both until `stop` is called from another thread or from a signal, then clean up."""
+        """Serve both lines until `stop` is called from another thread or from a signal, then close them."""
         with self._cell:
             self._line.serve()
 
@@ -199,7 +206,7 @@ class Pair:
 
 
 class _Locked:
-    """The joint of a drive that another thread uses."""
+    """The joint of a drive that another thread simulates, read under that thread's lock."""
 
     def __init__(self, joint: Felt, lock: threading.Lock) -> None:
         self._joint = joint
@@ -211,7 +218,9 @@ class _Locked:
 
 
 def with_cell(line: PtyLine, joint: Felt, sensors: SensorParameters) -> Pair:
-    """Return the drive on `line` with a cell of `sensors` at its `joint`, on a pty named as the line with ".cell"."""
+    """Return the drive on `line` together with a torque cell at its `joint`. The cell's pty is named as the line, with
+    ".cell" appended.
+    """
     link = line.link.with_name(f"{line.link.name}.cell")
     cell = EmulatedLoadCell(of(sensors), _Locked(joint, line.lock), now=time.monotonic())
     return Pair(line, PtyLine(link, cell))

@@ -1,4 +1,6 @@
-"""The torque at a motor's joint, for a torque cell on another wire: the past of one plant, shared by two emulators."""
+"""A record of the torque at a motor's joint. It connects two emulators: a drive simulates the joint, and a torque cell
+on another wire measures it.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +12,22 @@ _KEPT = 4096  # steps
 
 
 class Felt(Protocol):
-    """A joint whose torque can be asked for."""
+    """The interface of a joint whose torque a torque cell can read."""
 
     def mean(self, begin: float, end: float) -> float:
-        """N m at the joint, the mean from `begin` to `end`, s."""
+        """Return the mean torque at the joint from `begin` to `end`, s, in N m."""
 
 
 class AtRest:
     """A joint without torque."""
 
     def mean(self, begin: float, end: float) -> float:  # noqa: ARG002 - see `Felt`
-        """No torque."""
+        """Return 0."""
         return 0.0
 
 
 class JointTorque:
-    """The torque's integral over time, from which the mean of any stretch of the recent past follows."""
+    """A record of the recent torque at a joint: its integral over time, from which means are computed."""
 
     def __init__(self) -> None:
         self._times: deque[float] = deque([0.0], maxlen=_KEPT)
@@ -33,7 +35,7 @@ class JointTorque:
         self._torque = 0.0
 
     def note(self, t: float, torque: float) -> None:
-        """The torque is `torque` N m at `t` s; it changed evenly since the time before."""
+        """Record the torque `torque`, N m, at `t`, s. Between two records the torque is linear."""
         step = t - self._times[-1]
         if step > 0.0:
             self._sums.append(self._sums[-1] + 0.5 * step * (self._torque + torque))
@@ -41,11 +43,13 @@ class JointTorque:
         self._torque = torque
 
     def mean(self, begin: float, end: float) -> float:
-        """N m, the mean from `begin` to `end`, s; before and behind what is known it stays as it was."""
+        """Return the mean torque from `begin` to `end`, s, in N m. The torque counts as 0 before the first record, and
+        as constant after the last.
+        """
         return (self._sum(end) - self._sum(begin)) / (end - begin)
 
     def _sum(self, t: float) -> float:
-        """N m s up to `t`."""
+        """Return the integral of the torque up to `t`, s, in N m s."""
         after = bisect_left(self._times, t)
         if after == 0:
             return self._sums[0]

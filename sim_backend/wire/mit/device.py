@@ -1,10 +1,11 @@
-"""One motor on MIT frames on a CAN bus, CubeMars AK or Damiao, with the plant at its output.
+"""An emulated CubeMars AK or Damiao motor on a CAN bus, which uses the frames of the MIT mini-cheetah. The plant is
+attached to its output.
 
-Sources: as in `mit.tables`; Damiao's manual for POS_VEL, VEL and FORCE_POS, whose current limit acts here as a share of
-the torque range. As in the mini-cheetah's firmware every frame to the motor's id is answered with its state,
-values are cut off to counts, and zero is nowhere. What the manuals leave open: an AK answers with its own id; a Damiao
-that lost communication is disabled and stays so until FB clears it; an AK's error stays until it is switched off; a
-boot takes 0.2 s and an AK comes back with its rotor's turns forgotten.
+Sources: as in `mit.tables`; Damiao's manual for POS_VEL, VEL and FORCE_POS, where the current limit is taken as a share
+of the torque range. As in the mini-cheetah's firmware, the motor replies with its state to every frame for its id;
+values are truncated to counts, so no count means exactly zero. The following is not in the manuals and is assumed here.
+An AK replies with its own id. A Damiao that lost communication is disabled until the command FB clears the error. An
+AK's error stays until the motor is switched off. A boot takes 0.2 s, and an AK then no longer knows its rotor's turns.
 """
 
 from __future__ import annotations
@@ -25,28 +26,28 @@ BOOT = 0.2
 KP_MOST, KD_MOST = 500.0, 5.0
 TIMEOUT_LSB = 50e-6
 MIT, POSITION_SPEED, SPEED, FORCE_POSITION = 1, 2, 3, 4
-"""Values of a Damiao's CTRL_MODE(10)."""
+"""Values of a Damiao's register CTRL_MODE(10)."""
 POSITION_GAIN = 50.0
-"""rad/s a rad of position error."""
+"""rad/s of commanded speed for each rad of position error."""
 SPEED_GAIN = 2e-3
-"""N m s/rad of the model's scale."""
+"""N m s/rad of the speed loop, multiplied by the model's scale."""
 _FORCE_POSITION = struct.Struct("<fHH")
-"""rad, 0.01 rad/s, 0.0001 of the torque range."""
+"""Units of the values in a FORCE_POS command: rad, 0.01 rad/s, 0.0001 of the torque range."""
 
 DISABLED, ENABLED = 0, 1
 OVER_CURRENT = {False: 2, True: 10}
 TOO_HOT = {False: 1, True: 12}
 LOST_COMMUNICATION = 13
-"""Errors, for an AK (False) and a Damiao (True)."""
+"""Error codes, for an AK (False) and for a Damiao (True)."""
 
 _AK_HOTTEST = 100.0
 
 
 class MitDevice:
-    """A motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
+    """An emulated motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
-    reply_id: the identifier of its replies; None: its own for an AK, 0 for a Damiao, as delivered.
-    Raises KeyError for a model that is not in the table.
+    reply_id: the CAN identifier of the replies; None: that of a new motor: its own id for an AK, 0 for a Damiao. Raises
+    KeyError for a model that is not in the table.
     """
 
     def __init__(
@@ -69,9 +70,9 @@ class MitDevice:
         )
         self.error = 0
         self.refused: set[int] = set()
-        """Registers whose writes are answered and not done."""
+        """Registers whose writes are acknowledged but not carried out: a fault for tests."""
         self.ignores_off = False
-        """Leaving motor mode is answered and not done."""
+        """Whether leaving motor mode is acknowledged but not carried out: a fault for tests."""
         self._zero = 0.0
         self._powered = now
         self._ready = now
@@ -84,14 +85,14 @@ class MitDevice:
 
     @property
     def status(self) -> int:
-        """A Damiao's status, an AK's error code."""
+        """The status of a Damiao, or the error code of an AK."""
         if self.error or not self.damiao:
             return self.error
         return ENABLED if self.motor.enabled else DISABLED
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of a Damiao's timeout; the emulated AK has none."""
+        """The state of a Damiao's timeout. The emulated AK has no watchdog."""
         if not self.damiao:
             return "none"
         if self.error == LOST_COMMUNICATION:
@@ -99,16 +100,16 @@ class MitDevice:
         return "on" if self.motor.enabled and self.values[9] else "off"
 
     def due(self) -> float:
-        """Return infinity: it sends nothing unasked."""
+        """Return infinity: the motor sends nothing without a request."""
         return math.inf
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return no frame."""
+        """Return no frame: the motor sends nothing without a request."""
         self.advance(now)
         return []
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now` and look for faults."""
+        """Simulate the motor up to `now` and check for faults."""
         timeout = self.values[9] * TIMEOUT_LSB if self.damiao else 0.0
         if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
             self.motor.run(self._heard + timeout - self._powered)
@@ -118,12 +119,12 @@ class MitDevice:
             self.fail(TOO_HOT[self.damiao])
 
     def fail(self, error: int) -> None:
-        """Latch an error; no current from now on."""
+        """Latch the error `error` and switch the torque off."""
         self.error = self.error or error
         self.motor.disable()
 
     def reboot(self, now: float) -> None:
-        """Lose what was not stored, the torque first, and be silent for a while."""
+        """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
         self.motor.disable()
         self.error = 0
         self.values = {number: item.initial for number, item in self._items.items()}
@@ -149,7 +150,7 @@ class MitDevice:
         return [self._state()]
 
     def _listens(self) -> set[int]:
-        """The identifier of commands, which for a Damiao depends on its mode."""
+        """Return the CAN identifiers of commands that the motor accepts; for a Damiao they depend on its mode."""
         return {self.ident + 0x100 * (int(self.values[10]) - 1), self.ident} if self.damiao else {self.ident}
 
     def _special(self, code: int) -> None:
@@ -191,7 +192,9 @@ class MitDevice:
         )
 
     def _regulate(self, position: float, fastest: float, ceiling: float) -> None:
-        """Go to `position`, rad, no faster than `fastest`, rad/s, with no more torque than `ceiling`, N m."""
+        """Drive to `position`, rad, with a speed of at most `fastest`, rad/s, and a torque of at most `ceiling`, N
+        m.
+        """
         damping = SPEED_GAIN * self.model.scale
         self.motor.follow(
             Impedance(0.0, POSITION_GAIN * damping, damping, position + self._zero, ceiling=ceiling, fastest=fastest)
@@ -216,7 +219,7 @@ class MitDevice:
         return CanFrame(int(self.values[7]) if self.damiao else self._reply, body + tail)
 
     def _register(self, data: bytes, now: float) -> list[CanFrame]:
-        """Read (33), write (55) or store (AA) a register, or send the state (CC)."""
+        """Execute a register request of a Damiao: read (33), write (55), store (AA), or send the state (CC)."""
         if int.from_bytes(data[:2], "little") != self.ident:
             return []
         self._heard = now
@@ -241,7 +244,9 @@ class MitDevice:
 
 
 def _to_counts(value: float, low: float, high: float, bits: int) -> int:
-    """Return a value in counts as the firmware does: limited to the range and truncated."""
+    """Return a value in counts of `bits` bits, limited to the range from `low` to `high` and truncated, as the firmware
+    does.
+    """
     bounded = max(low, min(high, value))
     return int((bounded - low) * ((1 << bits) - 1) / (high - low))
 

@@ -1,4 +1,6 @@
-"""Motors that speak MIT frames, and the registers of a Damiao, from table.toml, which names its sources."""
+"""The emulated motors with MIT frames, and the registers of a Damiao. They are read from table.toml, which names its
+sources.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,9 @@ from drivers.tables import table
 
 @dataclass(frozen=True, slots=True)
 class MitModel:
-    """A motor. span: position rad, velocity rad/s, torque N m that fill the counts; see table.toml."""
+    """A CubeMars or Damiao model. span: full scale of the counts: position rad, velocity rad/s, torque N m; see
+    table.toml.
+    """
 
     damiao: bool
     span: tuple[float, float, float]
@@ -24,12 +28,14 @@ MODELS = {
     name: MitModel(damiao, tuple(span), *more)
     for name, (damiao, span, *more) in table("mit", "sim_backend.wire")["models"].items()
 }
-"""By the name used in stand files."""
+"""The models by the name used in stand files."""
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A register of a Damiao. whole: an unsigned integer, otherwise a float. low, high: what a write must keep to."""
+    """A register of a Damiao. whole: whether it is an unsigned integer; otherwise it is a float. low, high: the range
+    of values that may be written.
+    """
 
     name: str
     initial: float
@@ -40,7 +46,7 @@ class Item:
 
 
 def registers(model: MitModel, ident: int, reply_id: int) -> dict[int, Item]:
-    """The registers of a Damiao by their numbers."""
+    """Return the registers of a Damiao by number."""
     known: dict[str, float] = {"ident": ident, "reply_id": reply_id, "gear": model.gear}
     known |= {"torque_constant": model.torque_constant, "resistance": model.resistance}
     known |= dict(zip(("position", "velocity", "torque"), model.span, strict=True))

@@ -1,4 +1,4 @@
-"""The telemetry channels that an emulated moteus has; each with the fields that its tools read.
+"""The telemetry channels of an emulated moteus, each with the fields that the vendor's tools read.
 
 Source: mjbots/moteus fw/moteus_controller.cc, firmware_info.h, git_info.h and bldc_servo_structs.h for the names.
 """

@@ -1,4 +1,4 @@
-"""The command of a moteus: its registers, and the demand law that they make in each mode.
+"""The command registers of an emulated moteus, and the demand law that they give in each mode.
 
 Source: mjbots/moteus docs/protocol/registers.md and fw/bldc_servo_control.h.
 """
@@ -26,11 +26,13 @@ VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN, BRAKE = 8, 9
 RUNNING = frozenset({VOLTAGE_DQ, CURRENT, POSITION, ZERO_VELOCITY, STAY_WITHIN, BRAKE})
 """The modes in which current flows."""
 TIMED = frozenset({POSITION, STAY_WITHIN})
-"""The modes that the watchdog ends."""
+"""The modes that end when the watchdog trips."""
 
 
 class Command:
-    """The command registers, and what lasts from one command to the next. config: the controller's console."""
+    """The command registers, and the state that lasts from one command to the next. config: the controller's console,
+    which holds the configuration.
+    """
 
     def __init__(self, config: Console) -> None:
         self._config = config
@@ -38,16 +40,18 @@ class Command:
         self.forget()
 
     def clear(self) -> None:
-        """Set every register to what a frame that does not give it means."""
+        """Set every command register to the value that it has if a frame does not write it."""
         self.values = dict(UNSET)
 
     def forget(self) -> None:
-        """Forget the position that is held and the way there."""
+        """Discard the held position and the trajectory to it."""
         self._held = math.nan
         self._goal: tuple[float, ...] = ()
 
     def law(self, mode: int, motor: PlantMotor[Any], offset: float) -> Any:
-        """Return the demand law of a mode. offset: rad, the zero of its positions."""
+        """Return the demand law of `mode`. offset: rad, the motor's angle at which the controller's position is
+        zero.
+        """
         commands, values = self.values, self._config.values
         most = values["servo.max_current_A"] * TORQUE_CONSTANT
         if mode == CURRENT:
@@ -65,7 +69,7 @@ class Command:
         return self._positioned(motor, offset)
 
     def _about(self, position: float, motor: PlantMotor[Any], offset: float) -> Impedance:
-        """Return the law about a position, rev, with the gains and limits of the command."""
+        """Return the demand law that controls to `position`, rev, with the gains and limits of the command."""
         values, commands = self._config.values, self.values
         kp_scale = commands[0x023]
         return Impedance(
@@ -78,7 +82,9 @@ class Command:
         )
 
     def _positioned(self, motor: PlantMotor[Any], offset: float) -> Any:
-        """Return the law of the position mode; the way to a new position is limited in speed and acceleration."""
+        """Return the demand law of the position mode. If limits of speed or acceleration are set, a trajectory leads to
+        a new position.
+        """
         commands = self.values
         before, turns = self._held, (motor.position - offset) / TURN
         if not math.isnan(commands[0x020]):
@@ -101,7 +107,9 @@ class Command:
         return Guided(law, motor.time, start * TURN + offset, limits[0] * TURN, limits[1] * TURN)
 
     def _limited(self, number: int, name: str) -> float:
-        """Return a limit of the command, or else of the configuration; infinite where neither sets one."""
+        """Return the limit in register `number`, or else the setting `name` of the configuration; infinity if neither
+        is set.
+        """
         for value in (self.values[number], self._config.values[name]):
             if not math.isnan(value):
                 return value if value >= 0.0 else math.inf
@@ -114,12 +122,12 @@ class Command:
         return most if math.isnan(asked) else min(most, asked)
 
     def derated(self, motor: PlantMotor[Any]) -> float:
-        """Share of the torque that is left above servo.max_velocity."""
+        """Return the factor on the torque limit at the motor's speed: 1 up to servo.max_velocity, then falling to 0."""
         over = abs(motor.velocity) / TURN - self._config.values["servo.max_velocity"]
         return max(0.0, min(1.0, 1.0 - over / self._config.values["servo.max_velocity_derate"]))
 
 
 def arrived(motor: PlantMotor[Any]) -> bool:
-    """Return whether the way to the commanded position is over."""
+    """Return whether the trajectory to the commanded position has ended."""
     law = motor.law
     return not isinstance(law, Guided) or motor.time >= law.begin + law.duration

@@ -1,8 +1,8 @@
-"""The diagnostic console of a moteus: lines in, lines out, and the configuration behind them.
+"""The diagnostic console of an emulated moteus: it receives and prints lines, and holds the configuration.
 
-Source: mjbots/moteus docs/protocol/diagnostic.md and docs/reference/configuration.md. Of the commands there are conf
-get, set, enumerate, load, default and write; d stop, nearest, rezero, exact and cfg-set-output; tel list, schema, fmt,
-get and stop, in the binary format; others are answered with an error, as unknown ones are.
+Source: mjbots/moteus docs/protocol/diagnostic.md and docs/reference/configuration.md. These commands exist: conf get,
+set, enumerate, load, default and write; d stop, nearest, rezero, exact and cfg-set-output; tel list, schema, fmt, get
+and stop, in the binary format. Any other command gets an error, as an unknown command does on a real moteus.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ _WHOLE = {"id.id", "can.prefix", "servo.timeout_mode", "servo.enable_motor_tempe
 
 
 class Console:
-    """The console and configuration of the controller `ident`. values: by the vendor's names.
+    """The console and configuration of the controller `ident`. values: the settings by the vendor's names.
 
-    channels: the functions that return the fields of the telemetry channels, by name.
+    channels: for each telemetry channel, a function that returns its fields.
     """
 
     def __init__(self, ident: int, channels: Mapping[str, Callable[[], Sequence[Field]]]) -> None:
@@ -27,18 +27,18 @@ class Console:
         self._stored = {"id.id": float(ident), **_DEFAULTS}
         self.values = dict(self._stored)
         self.refused: set[str] = set()
-        """Names whose setting is acknowledged and not done."""
+        """Settings whose writes are acknowledged but not carried out: a fault for tests."""
         self._in = b""
         self._out = b""
         self._requests: list[tuple[str, float]] = []
 
     def load(self) -> None:
-        """Back to what is stored, as at power-up."""
+        """Set the configuration to the stored values, as at power-up."""
         self.values = dict(self._stored)
         self._in = self._out = b""
 
     def take(self, text: bytes) -> None:
-        """Text from the host; every whole line is answered."""
+        """Receive text from the host. Every complete line is executed and answered."""
         self._in += text
         *lines, self._in = self._in.replace(b"\r", b"\n").split(b"\n")
         for line in lines:
@@ -46,12 +46,12 @@ class Console:
                 self._out += self._answer(line.decode("ascii", "replace").split())
 
     def give(self, most: int) -> bytes:
-        """Up to `most` bytes of what there is to say."""
+        """Return up to `most` bytes of the text that waits to be sent."""
         out, self._out = self._out[:most], self._out[most:]
         return out
 
     def requests(self) -> list[tuple[str, float]]:
-        """Return the `d` commands since this was last called, with their number, 0 if there is none."""
+        """Return the `d` commands received since the last call, each with its number (0 if it has none)."""
         requests, self._requests = self._requests, []
         return requests
 

@@ -1,4 +1,4 @@
-"""One moteus on a CAN FD bus, with the plant behind its motor.
+"""An emulated moteus on a CAN FD bus. The plant is attached to its motor.
 
 Source: mjbots/moteus docs/protocol/registers.md, can.md, diagnostic.md and docs/reference/configuration.md. These
 documents do not state the following, which is assumed here: a motor that is switched on follows set-points from the
@@ -53,21 +53,23 @@ if TYPE_CHECKING:
 COUNTS = 16384
 TORQUE_LSB = 2e-3
 SCALE = 20.0
-"""The paper's joint with torques as large as suit the motor."""
+"""Factor on the torques of the paper's joint, so that they suit the motor."""
 BOOT = 0.1
 
 STOPPED, FAULT, PREPARING = 0, 1, 4
 _PHASES = frozenset({5, 6, 7, 14})
-"""PWM, voltage, voltage FOC, inductance."""
+"""The modes that drive the phases directly: PWM, voltage, voltage FOC, inductance."""
 _ALIASES = {0x042: 0x022, 0x043: 0x023, 0x044: 0x024, 0x045: 0x025, 0x046: 0x027, 0x047: 0x02B, 0x048: 0x02D}
-"""The registers of the mode that stays within bounds which are those of the position mode."""
+"""Registers of the mode "stay within bounds" that are the same as registers of the position mode."""
 DRIVER_FAULT, NOT_CONFIGURED, OVER_TEMPERATURE, OUTSIDE_LIMIT = 33, 36, 38, 39
 _PREPARATION = 3
 _LONGEST_REPLY = 64
 
 
 class MoteusDevice:
-    """A controller with id `ident`. Times are s on the bus's clock. firmware: major, minor, micro."""
+    """An emulated controller with id `ident`. Times are s on the bus's clock. firmware: major, minor and micro
+    version.
+    """
 
     def __init__(
         self,
@@ -89,9 +91,9 @@ class MoteusDevice:
         self.identity |= {0x120 + i: word for i, word in enumerate(serial)}
         self.identity |= {0x150 + i: 0x01020304 * (i + 1) for i in range(4)}
         self.unknown: set[int] = set()
-        """Registers that this firmware does not have."""
+        """Registers that the emulated firmware does not have."""
         self.ignores_stop = False
-        """A stop is taken and not done."""
+        """Whether a stop is acknowledged but not carried out: a fault for tests."""
         self._powered = now
         self._offset = 0.0
         self._restart(now)
@@ -111,27 +113,27 @@ class MoteusDevice:
 
     @property
     def turns(self) -> float:
-        """rev at the output, in whole counts."""
+        """The position at the output, rev, rounded to encoder counts."""
         return round((self.motor.position - self._offset) / TURN * COUNTS) / COUNTS
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of the watchdog, which watches in the modes that take set-points."""
+        """The state of the watchdog, which is active in the modes that take set-points."""
         if self.mode == TIMEOUT:
             return "tripped"
         return "on" if self.mode in TIMED and math.isfinite(self._timeout()) else "off"
 
     def due(self) -> float:
-        """Return infinity: it sends nothing unasked."""
+        """Return infinity: the controller sends nothing without a request."""
         return math.inf
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return no frame."""
+        """Return no frame: the controller sends nothing without a request."""
         self.advance(now)
         return []
 
     def reboot(self, now: float) -> None:
-        """Lose what is in RAM, the torque first, and be silent for a while."""
+        """Switch the torque off, lose the contents of the RAM, and do not reply until the boot has ended."""
         self.motor.disable()
         self.console.load()
         self._restart(now)
@@ -139,12 +141,12 @@ class MoteusDevice:
         self._ready = now + BOOT
 
     def fail(self, code: int) -> None:
-        """Go into fault."""
+        """Enter the fault mode with the fault `code`; the torque goes off."""
         self.mode, self.fault = FAULT, code
         self.motor.disable()
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now` and look for faults."""
+        """Simulate the motor up to `now` and check for faults."""
         timeout = self._timeout()
         if self.mode in TIMED and now - self._heard > timeout and not self.motor.watchdog_broken:
             self.motor.run(self._heard + timeout - self._powered)
@@ -189,7 +191,9 @@ class MoteusDevice:
     # -- registers --------------------------------------------------------------------------------------------------
 
     def _read(self, subframe: Read, now: float) -> bytes:
-        """Runs of registers that there are, and refusals of those that there are not."""
+        """Return the reply to a read: the values of the registers that exist, and a refusal for each register that does
+        not.
+        """
         out, start = b"", subframe.start
         run: list[float] = []
         for number in range(subframe.start, subframe.start + min(subframe.count, _LONGEST_REPLY)):
@@ -202,7 +206,7 @@ class MoteusDevice:
         return out + (reply(subframe.kind, start, run) if run else b"")
 
     def _value(self, number: int, now: float) -> float | None:
-        """A register; None if there is none."""
+        """Return the value of register `number`; None if it does not exist."""
         live = {
             0x000: float(self.mode),
             0x001: self.turns,
@@ -241,7 +245,9 @@ class MoteusDevice:
     # -- modes ------------------------------------------------------------------------------------------------------
 
     def _enter(self, mode: int, now: float) -> None:
-        """Every mode command begins with the commands unset; a stop clears a fault and a timeout."""
+        """Execute a mode command. It first sets all command registers to their values without a write; a stop clears a
+        fault and a timeout.
+        """
         self.command.clear()
         if mode == STOPPED:
             self._stop()
@@ -275,7 +281,7 @@ class MoteusDevice:
         return math.inf if math.isnan(seconds) else seconds
 
     def _time_out(self) -> None:
-        """Disengage, hold, damp or brake, as servo.timeout_mode is set."""
+        """React to the tripped watchdog as servo.timeout_mode says: switch off, hold the position, damp or brake."""
         self.mode = TIMEOUT
         self.command.clear()
         mode = int(self.console.values["servo.timeout_mode"])
@@ -286,7 +292,7 @@ class MoteusDevice:
             self.motor.disable()
 
     def _follow(self) -> None:
-        """Set the motor's law from the commands of its mode."""
+        """Set the motor's demand law from mode and command registers."""
         if self.mode in RUNNING:
             self.motor.follow(self._law(self.mode))
 
@@ -294,7 +300,9 @@ class MoteusDevice:
         return self.command.law(mode, self.motor, self._offset)
 
     def _asked(self, name: str, value: float) -> None:
-        """Obey a `d` command: stop, or set the position, rev; "nearest" keeps the part of a turn that is measured."""
+        """Execute a `d` command: stop, or set the position to `value`, rev. "nearest" shifts the position by whole
+        turns only.
+        """
         if name == "stop":
             self._stop()
             return
@@ -302,7 +310,7 @@ class MoteusDevice:
         self._offset += (round(error) if name in {"nearest", "rezero"} else error) * TURN
 
     def _limiting(self) -> int:
-        """The code for what limits the torque."""
+        """Return the code of the limit that acts on the torque; 0 if no limit acts."""
         if self.mode not in TIMED:
             return 0
         if self.command.derated(self.motor) < 1.0:

@@ -1,6 +1,6 @@
-"""Subframes of the multiplex protocol, as a controller reads and writes them.
+"""Decode the subframes of moteus' multiplex protocol, and encode the replies, as a controller does.
 
-Source: mjbots/moteus docs/protocol/can.md. A frame that is cut short is obeyed as far as it goes.
+Source: mjbots/moteus docs/protocol/can.md. From a frame that is cut short, the complete subframes are executed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ LARGEST = (127, 32767, 2147483647)
 
 @dataclass(frozen=True, slots=True)
 class Write:
-    """Set registers from `start` on; kind: 0 int8, 1 int16, 2 int32, 3 float."""
+    """A subframe that writes consecutive registers from `start` on. kind: encoding of the values: 0 int8, 1 int16, 2
+    int32, 3 float.
+    """
 
     kind: int
     start: int
@@ -26,7 +28,7 @@ class Write:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """Ask for `count` registers from `start` on."""
+    """A subframe that requests `count` consecutive registers from `start` on."""
 
     kind: int
     start: int
@@ -35,7 +37,7 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class Say:
-    """Text for the console on `channel`."""
+    """A subframe with text for the console on `channel`."""
 
     channel: int
     text: bytes
@@ -43,7 +45,7 @@ class Say:
 
 @dataclass(frozen=True, slots=True)
 class Poll:
-    """Ask the console on `channel` for up to `most` bytes."""
+    """A subframe that requests up to `most` bytes from the console on `channel`."""
 
     channel: int
     most: int
@@ -53,14 +55,14 @@ Subframe = Write | Read | Say | Poll
 
 
 class Reader:
-    """Takes a frame's data apart."""
+    """Decodes the data of a frame."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._at = 0
 
     def subframes(self) -> list[Subframe]:
-        """All that can be read."""
+        """Return all complete subframes."""
         out: list[Subframe] = []
         try:
             while self._at < len(self._data):
@@ -110,7 +112,7 @@ class Reader:
 
 
 def varuint(value: int) -> bytes:
-    """Seven bits a byte, the lowest first."""
+    """Encode a number as a varuint: seven bits in each byte, the lowest bits first."""
     out = bytearray()
     while True:
         out.append(value & 0x7F | (0x80 if value > 0x7F else 0))
@@ -120,7 +122,7 @@ def varuint(value: int) -> bytes:
 
 
 def reply(kind: int, start: int, raw: list[float]) -> bytes:
-    """The subframe that answers a read."""
+    """Return the subframe that answers a read. raw: the values in counts, or floats, encoded as `kind`."""
     head = bytes([0x20 | kind << 2 | (len(raw) if len(raw) < 4 else 0)])
     count = b"" if len(raw) < 4 else varuint(len(raw))
     values = [value if kind == FLOAT else int(value) for value in raw]
@@ -128,7 +130,9 @@ def reply(kind: int, start: int, raw: list[float]) -> bytes:
 
 
 def refusal(writing: bool, number: int, code: int = 1) -> bytes:
-    """The subframe that refuses a register."""
+    """Return the subframe that refuses register `number` with the error `code`. writing: whether a write is refused,
+    else a read.
+    """
     return bytes([0x30 if writing else 0x31]) + varuint(number) + varuint(code)
 
 
@@ -138,7 +142,7 @@ def console(channel: int, text: bytes) -> bytes:
 
 
 def counted(value: float, unit: tuple[float, float, float] | None, kind: int) -> float:
-    """Return a value as counts on the wire: limited to their range, the lowest for NaN."""
+    """Return a value in counts as it is sent: limited to the range of `kind`; NaN becomes the lowest count."""
     if kind == FLOAT:
         return value
     if unit is None:
@@ -150,7 +154,7 @@ def counted(value: float, unit: tuple[float, float, float] | None, kind: int) ->
 
 
 def valued(raw: float, unit: tuple[float, float, float] | None, kind: int) -> float:
-    """The value of what came over the wire."""
+    """Return the value of received counts: the inverse of `counted`."""
     if kind == FLOAT or unit is None:
         return float(raw)
     return math.nan if raw == -LARGEST[kind] - 1 else raw * unit[kind]

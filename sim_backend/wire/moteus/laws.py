@@ -1,7 +1,7 @@
-"""The demand laws that a moteus has beside the plain impedance.
+"""Demand laws of a moteus other than the plain impedance: stay within bounds, and a trajectory to a position.
 
 Source: mjbots/moteus fw/bldc_servo_control.h for staying within bounds, docs/protocol/registers.md for limits of speed
-and acceleration. A profile begins at rest.
+and acceleration. A trajectory begins at rest.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """Outside `lowest` to `highest`, rad, `law` about the bound that was passed; inside, its feedforward alone.
+    """Demand law of the mode "stay within bounds": outside the bounds, `law` drives back to the nearest bound; inside,
+    only the feedforward of `law` acts.
 
-    NaN: no bound.
+    lowest, highest: the bounds, rad; NaN: no bound.
     """
 
     law: Impedance
@@ -26,7 +27,7 @@ class Within:
     highest: float
 
     def beats(self, enabled: bool) -> bool:
-        """Return whether the torque depends on what is measured."""
+        """Return whether the torque depends on measurements, so that it must be computed again and again."""
         return enabled
 
     def demand(self, motor: PlantMotor[Any]) -> float:
@@ -40,15 +41,16 @@ class Within:
         return law.demand(motor)
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
-        """Return the law of no torque."""
+        """Return a law without torque."""
         return Impedance()
 
 
 @dataclass(frozen=True, slots=True)
 class Guided:
-    """`law` about a position that goes from `start` to the law's own, no faster than `speed` and `acceleration` allow.
+    """Demand law with a trajectory: the position of `law` is reached from `start` with limited speed and acceleration.
 
-    begin s, rad, rad/s, rad/s^2; infinite: no limit.
+    begin: time at which the trajectory begins, s. start: rad. speed: limit, rad/s. acceleration: limit, rad/s^2. An
+    infinite limit means no limit.
     """
 
     law: Impedance
@@ -59,13 +61,13 @@ class Guided:
 
     @property
     def duration(self) -> float:
-        """Return the s that the way takes."""
+        """Return the duration of the trajectory, s."""
         way = abs(self.law.position - self.start)
         reached, ramp = self._cruise(way)
         return 0.0 if reached == math.inf else 2.0 * ramp + max(0.0, way - reached * ramp) / reached if way else 0.0
 
     def beats(self, enabled: bool) -> bool:
-        """Return whether the torque depends on what is measured."""
+        """Return whether the torque depends on measurements, so that it must be computed again and again."""
         return enabled
 
     def demand(self, motor: PlantMotor[Any]) -> float:
@@ -74,16 +76,16 @@ class Guided:
         return replace(self.law, position=position, velocity=velocity).demand(motor)
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
-        """Return the law of no torque."""
+        """Return a law without torque."""
         return Impedance()
 
     def _cruise(self, way: float) -> tuple[float, float]:
-        """Return the highest speed on a way, rad/s, and the s until it is reached."""
+        """Return the highest speed on a trajectory of length `way`, rad/s, and the time to reach this speed, s."""
         reached = min(self.speed, math.sqrt(way * self.acceleration))
         return reached, reached / self.acceleration
 
     def _at(self, elapsed: float) -> tuple[float, float]:
-        """Return position, rad, and velocity, rad/s, `elapsed` s after the begin."""
+        """Return position, rad, and velocity, rad/s, at `elapsed` s after the trajectory's begin."""
         way, whole = self.law.position - self.start, self.duration
         if elapsed >= whole:
             return self.law.position, self.law.velocity

@@ -1,4 +1,5 @@
-"""moteus' registers: what a count is worth, and what a command holds that is not given.
+"""The registers of an emulated moteus: the value of one count, and the value of a command register that a frame does
+not write.
 
 Source: mjbots/moteus docs/protocol/registers.md.
 """
@@ -29,7 +30,9 @@ UNITS: dict[int, tuple[float, float, float]] = (
     | dict.fromkeys((0x010, 0x011, 0x012, 0x018, 0x023, 0x024, 0x02B, 0x043, 0x044, 0x047), _RATIO)
     | dict.fromkeys((*range(0x060, 0x065), *range(0x068, 0x06D), *range(0x076, 0x080), 0x073, 0x075), _RATIO)
 )
-"""What a count of int8, int16 and int32 is worth; a register that is not here is a count itself."""
+"""The value of one count as int8, int16 and int32. A register that is missing here has no unit: its value is the
+count.
+"""
 
 UNSET: dict[int, float] = dict.fromkeys(
     (*range(0x010, 0x013), *range(0x014, 0x017), *range(0x018, 0x01F), 0x020, 0x021, 0x022, 0x02D), 0.0
@@ -47,7 +50,7 @@ UNSET: dict[int, float] = dict.fromkeys(
     0x040: math.nan,
     0x041: math.nan,
 }
-"""What a command register holds where a frame does not give it."""
+"""The value of a command register that a frame does not write."""
 
 COMMANDS = frozenset(UNSET)
 READABLE = (
@@ -57,4 +60,4 @@ READABLE = (
     | frozenset({0x058, 0x05C, 0x05D, 0x05E, 0x05F, 0x070, 0x071, 0x140, 0x141})
     | frozenset((*range(0x060, 0x065), *range(0x068, 0x06D), *range(0x072, 0x080)))
 )
-"""Registers that can be read, beside the commands and the identity."""
+"""Registers that can be read, in addition to the command and identity registers."""

@@ -1,4 +1,4 @@
-"""The telemetry channels of the diagnostic stream: a binary schema, and data in it.
+"""Encode the telemetry channels of the diagnostic stream: a binary schema, and data in this schema.
 
 Source: mjbots/mjlib's telemetry format as moteus/reader.py of the vendor's Python package reads it. A channel is an
 object whose fields have no aliases and no defaults.
@@ -19,11 +19,13 @@ _KINDS = {
     "I": bytes([4, 4]),
     "f": bytes([7]),
 }
-"""The encoded type of each letter of `struct`."""
+"""The schema's type code for each format letter of `struct`."""
 
 
 class Field(NamedTuple):
-    """A field of a channel. kind: a letter of `struct`. value: a number, or several for a fixed array."""
+    """A field of a channel. kind: a format letter of `struct`. value: a number, or several numbers for a fixed
+    array.
+    """
 
     name: str
     kind: str
@@ -43,7 +45,7 @@ def schema(fields: Sequence[Field]) -> bytes:
 
 
 def data(fields: Sequence[Field]) -> bytes:
-    """Return the values of `fields` in their schema."""
+    """Return the values of `fields`, encoded as their schema says."""
     out = b""
     for field in fields:
         values = field.value if isinstance(field.value, Sequence) else [field.value]
@@ -53,5 +55,5 @@ def data(fields: Sequence[Field]) -> bytes:
 
 
 def announced(kind: str, name: str, blob: bytes) -> bytes:
-    """Return a blob as the stream has it: a line with its kind and name, its size, itself."""
+    """Return a blob as the stream transmits it: a line with kind and name, the size of the blob, then the blob."""
     return f"{kind} {name}\r\n".encode("ascii") + struct.pack("<I", len(blob)) + blob

@@ -1,11 +1,11 @@
-"""One ODrive axis on a CAN bus: CANSimple in, CANSimple out, with the plant behind its motor.
+"""An emulated ODrive axis on a CAN bus, which speaks CANSimple. The plant is attached to its motor.
 
 Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, the 0.5.6 firmware's can_simple.cpp and
-controller.cpp, and can_enumerate.py of the vendor's ODriveResources. What they leave open: a boot takes 0.5 s, and the
-configuration counts as saved; an axis without an id sends only its address, when it is asked, within 50 ms; 0.6 feeds
-its watchdog by set-points and state requests (the vendor's watchdog example does both) and looks at it in closed loop
-only; the current sensor counts in 20 mA.
-Position and velocity control are cascades of plain gains without the firmware's integrator.
+controller.cpp, and can_enumerate.py of the vendor's ODriveResources. The following is not in these sources and is
+assumed here. A boot takes 0.5 s. The configuration counts as saved. An axis without a node id sends only its address,
+on request, within 50 ms. With firmware 0.6, set-points and state requests feed the watchdog (the vendor's watchdog
+example sends both), and the watchdog acts only in closed loop. One count of the current sensor is 20 mA. Position and
+velocity control are cascades of plain gains without the firmware's integrator.
 """
 
 from __future__ import annotations
@@ -25,37 +25,37 @@ if TYPE_CHECKING:
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
 BROADCAST = 0x3F
-"""The node id that addresses every drive with firmware 0.6, and the id of one that has none."""
+"""The node id that addresses every drive with firmware 0.6, which is also the id of a drive without a node id."""
 _ESTOP, _ADDRESS, _REBOOT, _CLEAR = 0x02, 0x06, 0x16, 0x18
 BOOT = 0.5
 TURN = 2.0 * math.pi
 COUNTS = 16384
-"""Encoder counts a turn."""
+"""Encoder counts in one turn."""
 CURRENT_LSB = 0.02
-"""A."""
+"""A in one count of current."""
 TORQUE_CONSTANT = 0.04
-"""N m/A of the motor behind it."""
+"""N m/A of the emulated motor."""
 SCALE = 20.0
-"""The paper's joint with torques as large as suit that motor."""
+"""Factor on the torques of the paper's joint, so that they suit the emulated motor."""
 
 WATCHDOG = {"0.5": 0x800, "0.6": 0x1000000}
 OVERSPEED = {"0.5": 0x200, "0.6": 0x8000}
 OVERHEAT = {"0.5": 0x40000, "0.6": 0x2000}
 ESTOP = {"0.5": 0x4000, "0.6": 0x2000000}
 DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
-"""Bits of the error word, by the firmware's layout."""
+"""Bits of the error word, by message layout of the firmware."""
 
 _CYCLIC = {"heartbeat": 0x01, "encoder": 0x09, "torques": 0x1C}
-"""The messages that are sent cyclically, by their names in the configuration."""
+"""The cyclic messages, by their names in the configuration."""
 _NODE_ID = "axis0.config.can.node_id"
 _FLOATS = struct.Struct("<ff")
 _INPUT_POS = struct.Struct("<fhh")
 
 
 class OdriveDevice:
-    """An axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock.
+    """An emulated axis with node id `ident` and firmware `firmware`, 0.5.6 or 0.6.x. Times are s on the bus's clock.
 
-    serial: 48 bits.
+    serial: serial number, 48 bits.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class OdriveDevice:
         self.errors = 0
         self.disarm_reason = 0
         self.ignores_idle = False
-        """A request for idle is taken and not done."""
+        """Whether a request for the state idle is accepted but not carried out: a fault for tests."""
         self.calibrated = True
         self._powered = now
         self._start(now)
@@ -86,7 +86,7 @@ class OdriveDevice:
         self._ready = now
         self._fed = now
         self._next = {"heartbeat": now + 0.01 * (1 + self.ident % 7), "encoder": now + 0.013, "torques": now + 0.017}
-        """When each cyclic message is sent next, s."""
+        """Time at which each cyclic message is sent next, s."""
         self._introduces = math.inf
         self._torque = self._velocity = 0.0
         self._position = self._offset = 0.0
@@ -117,7 +117,7 @@ class OdriveDevice:
         return min(*self._next.values(), self._introduces)
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return the cyclic messages that are due."""
+        """Return the cyclic messages that must be sent at `now`."""
         self.advance(now)
         out = []
         for kind, command in _CYCLIC.items():
@@ -134,16 +134,16 @@ class OdriveDevice:
 
     @property
     def _nameless(self) -> bool:
-        """Return whether it waits for a node id."""
+        """Return whether the axis has no node id yet."""
         return self.layout == "0.6" and self.ident == BROADCAST
 
     def _period(self, kind: str) -> float:
-        """s between two cyclic messages of a kind; infinite if they are switched off."""
+        """Return the s between two cyclic messages of a kind; infinity if this message is switched off."""
         milliseconds = self.endpoints.get(f"axis0.config.can.{kind}_msg_rate_ms")
         return milliseconds * 1e-3 if milliseconds else math.inf
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now` and look for faults."""
+        """Simulate the motor up to `now` and check for faults."""
         timeout = self.endpoints.get("axis0.config.watchdog_timeout")
         if self._watched and now - self._fed > timeout and not self.motor.watchdog_broken:
             self.motor.run(self._fed + timeout - self._powered)
@@ -161,7 +161,9 @@ class OdriveDevice:
             self._control()
 
     def reboot(self, now: float) -> None:
-        """Lose everything in RAM, the position first, and be silent for a while."""
+        """Lose the contents of the RAM and the position, switch the torque off, and do not reply until the boot has
+        ended.
+        """
         self._go_idle()
         self.errors = self.disarm_reason = 0
         self._start(now)
@@ -170,7 +172,7 @@ class OdriveDevice:
         self._next = dict.fromkeys(self._next, self._ready)
 
     def fail(self, bits: int) -> None:
-        """Latch errors; the axis disarms."""
+        """Latch the errors `bits` and disarm the axis."""
         self.errors |= bits
         if self.state == CLOSED_LOOP:
             self.disarm_reason = bits
@@ -196,7 +198,7 @@ class OdriveDevice:
         return []
 
     def _replied(self, command: int, now: float) -> list[CanFrame]:
-        """Return the reply to a frame without data; of commands, those without parameters are obeyed."""
+        """Return the reply to a frame without data. A command without parameters is executed."""
         if command in {_ESTOP, _REBOOT, _CLEAR}:
             self._obey(command, bytes(8), now)
         data = self._messages().get(command) if command != _CYCLIC["heartbeat"] else None
@@ -207,7 +209,9 @@ class OdriveDevice:
         return [] if data is None else [self._frame(command, data)]
 
     def _address(self, data: bytes) -> None:
-        """Take a node id: in 0.6 the axis whose serial number is given takes it, and who had it loses it."""
+        """Execute the message that assigns a node id. With firmware 0.6 the axis with the given serial number gets the
+        id, and another axis with this id loses it.
+        """
         if self.layout == "0.5":
             self.endpoints.put(_NODE_ID, int.from_bytes(data[:4], "little") % (BROADCAST + 1))
         elif len(data) >= 7 and int.from_bytes(data[1:7], "little") == self.serial:
@@ -221,7 +225,7 @@ class OdriveDevice:
     # -- what it is asked -------------------------------------------------------------------------------------------
 
     def _messages(self) -> dict[int, bytes]:
-        """Return the data of the messages that it sends, by their command."""
+        """Return the data of all messages that the axis can send, by command number."""
         floats, motor = _FLOATS.pack, self.motor
         counts, volts = round(self._turns() * COUNTS), self.endpoints.get("vbus_voltage")
         current = round(motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
@@ -251,7 +255,7 @@ class OdriveDevice:
         return (self.motor.position - self._offset) / TURN
 
     def _parameter(self, data: bytes) -> list[CanFrame]:
-        """RxSdo: read or write an endpoint. 0.6.11 and later confirm a write."""
+        """Execute RxSdo: read or write an endpoint. Firmware 0.6.11 and later confirms a write."""
         reply = self.endpoints.sdo(data, confirms=int(self.firmware.split(".")[2]) >= 11)
         return [] if reply is None else [self._frame(0x05, reply)]
 
@@ -284,7 +288,9 @@ class OdriveDevice:
             self._control()
 
     def _configured(self, command: int, first: float, second: float, words: tuple[int, int]) -> None:
-        """Obey a command that changes the configuration."""
+        """Execute a command that changes the configuration. first, second, words: the data of the frame in different
+        layouts.
+        """
         controller = "axis0.controller.config."
         changes: dict[int, dict[str, float]] = {
             0x0B: {controller + "control_mode": words[0], controller + "input_mode": words[1]},
@@ -319,7 +325,7 @@ class OdriveDevice:
         self.motor.disable()
 
     def _control(self) -> None:
-        """Set the motor's law: cascades in position and velocity control, limits in every mode."""
+        """Set the motor's demand law: cascades in position and velocity control, limits in every mode."""
         get = self.endpoints.get
         mode = int(get("axis0.controller.config.control_mode"))
         ceiling = get("axis0.config.motor.current_soft_max") * TORQUE_CONSTANT

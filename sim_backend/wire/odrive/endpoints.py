@@ -1,7 +1,8 @@
-"""The parameters that an emulated ODrive with firmware 0.6 has, and the file that gives clients their numbers.
+"""The parameters (endpoints) of an emulated ODrive with firmware 0.6, and the file that tells clients the endpoint
+numbers.
 
-The vendor publishes a flat_endpoints.json with each firmware; names are the vendor's, numbers are this emulator's own,
-and a client that takes them from anywhere else than the file is wrong on a real drive too.
+The vendor publishes a flat_endpoints.json with each firmware. The names here are the vendor's; the numbers are this
+emulator's own. A client that does not take the numbers from the file would be wrong on a real drive too.
 """
 
 from __future__ import annotations
@@ -14,35 +15,37 @@ _PARAMETERS: tuple[tuple[str, str, float, bool], ...] = tuple(
     (name, kind, value, writable)
     for name, (kind, value, writable) in table("odrive", "sim_backend.wire")["parameters"].items()
 )
-"""Name, type, value as delivered, whether it can be written."""
+"""Name, type, value in a new drive, and whether the parameter can be written."""
 _LAYOUTS = {"float": "<f", "bool": "<?", "uint8": "<B", "uint32": "<I"}
 _FIRST = 100
 
 
 class Endpoints:
-    """The parameters of one drive."""
+    """The parameters of one emulated drive."""
 
     def __init__(self, ident: int) -> None:
         self._values = {name: value for name, _, value, _ in _PARAMETERS}
         self._values["axis0.config.can.node_id"] = ident
         self.refused: set[str] = set()
-        """Names whose writes are taken and not done."""
+        """Parameters whose writes are acknowledged but not carried out: a fault for tests."""
 
     def erase(self) -> None:
-        """Set everything that can be written to its value as delivered; the node id is lost too."""
+        """Set every writable parameter to its value in a new drive. The node id is lost too."""
         self._values |= {name: value for name, _, value, writable in _PARAMETERS if writable}
         self._values["axis0.config.can.node_id"] = 0x3F
 
     def get(self, name: str) -> float:
-        """A value."""
+        """Return the value of a parameter."""
         return self._values[name]
 
     def put(self, name: str, value: float) -> None:
-        """Set a value from inside."""
+        """Set a parameter as the drive's own firmware does."""
         self._values[name] = value
 
     def sdo(self, data: bytes, *, confirms: bool) -> bytes | None:
-        """Return the reply to a request, None if there is none. confirms: a write is replied to."""
+        """Return the reply to an RxSdo request, None if there is none. confirms: whether the firmware replies to a
+        write.
+        """
         if len(data) < 4:
             return None
         writes, number, _ = struct.unpack_from("<BHB", data)
@@ -53,7 +56,7 @@ class Endpoints:
         return None if value is None else struct.pack("<BHB", 0, number, 0) + value
 
     def read(self, number: int) -> bytes | None:
-        """The four bytes of an answer to a read; None if there is no such endpoint."""
+        """Return the four bytes with the value of endpoint `number`; None if there is no such endpoint."""
         row = self._row(number)
         if row is None:
             return None

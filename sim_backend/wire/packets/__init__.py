@@ -1,1 +1,1 @@
-"""An emulated half-duplex line of servos that answer packets, which several families share."""
+"""An emulated half-duplex serial line of servos that reply with packets: DYNAMIXEL and Feetech."""

@@ -1,8 +1,9 @@
-"""Several servos on one half-duplex line: who replies, in which order, and when.
+"""A half-duplex serial line with several emulated servos: who replies, in which order, and when. Bytes in, bytes with
+times out; no I/O.
 
-Source: e-manual, "Protocol 2.0": Sync Read to Fast Bulk Read, and the notes on the broadcast id. What it leaves open:
-a servo missing from a Sync Read is passed over; a servo missing from a Fast Read ends the answer, since the ones behind
-it wait for it. Bytes in and bytes out, with times; no I/O.
+Source: e-manual, "Protocol 2.0": Sync Read to Fast Bulk Read, and the notes on the broadcast id. The manual does not
+say what happens if a servo is missing. Here a Sync Read skips a missing servo, and a Fast Read ends at a missing servo,
+because the servos behind it wait for it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from sim_backend.wire.uart.pacing import paced
 
 
 class Reply(NamedTuple):
-    """Bytes that reach the host, and when, s."""
+    """Bytes that reach the host, and the time of their arrival, s."""
 
     at: float
     data: bytes
@@ -39,17 +40,17 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PacketTiming:
-    """Durations on the line. usb_latency: s for which the adapter holds received bytes back."""
+    """Durations on the line. usb_latency: s that the adapter holds received bytes back."""
 
     usb_latency: float = 1e-3
 
 
 class LineSettings(NamedTuple):
-    """A servo's part on the line.
+    """The settings of a servo for the serial line.
 
-    baudrate: bit/s. return_delay: s from the request to its reply. level: 0: it replies to a ping, 1: and to a read,
-    2: to everything. shadow: a second id that it obeys without a reply, None without one. sync_reads: whether it
-    answers a Sync Read of protocol 1.0.
+    baudrate: bit/s. return_delay: s from a request to its reply. level: what the servo replies to: 0: pings, 1: pings
+    and reads, 2: everything. shadow: a second id whose instructions the servo obeys without a reply, None if there is
+    none. sync_reads: whether the servo replies to a Sync Read of protocol 1.0.
     """
 
     id: int
@@ -61,36 +62,38 @@ class LineSettings(NamedTuple):
 
 
 class PacketServo(Watched, Protocol):
-    """A servo as the line sees it. ready: s, from when on it is awake. heard: s, when a request last passed by."""
+    """The interface between a line and an emulated servo. ready: s, when the servo's boot ends. heard: s, when the line
+    last carried a request.
+    """
 
     ready: float
     heard: float
 
     @property
     def line(self) -> LineSettings:
-        """Its part on the line, as its registers are now."""
+        """The servo's settings for the line, from its present registers."""
 
     def advance(self, now: float) -> None:
-        """Carry it to `now`, s."""
+        """Simulate the servo up to `now`, s."""
 
     def reboot(self, now: float) -> None:
-        """Lose power for a moment at `now`, s."""
+        """Cut the servo's power for a moment at `now`, s."""
 
     def alerted(self, error: int) -> int:
-        """Return the error byte, with the hardware errors that hold."""
+        """Return the error byte: `error` together with the present hardware errors."""
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
-        """Execute `frame`; return error and parameters, None if it does not reply."""
+        """Execute `frame`. Return the error byte and the parameters of the reply, None if the servo does not reply."""
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
-        """Return the error and the bytes of a read."""
+        """Return the error and the bytes of a read of `size` bytes."""
 
     def write(self, address: int, data: bytes) -> int:
-        """Write as an instruction does; return the error."""
+        """Write `data` as a write instruction does. Return the error."""
 
 
 class PacketBus:
-    """The line with its servos, which all speak one protocol. timing: None where everything happens at once."""
+    """A line with its servos, which all use one protocol. timing: durations; None: nothing takes time."""
 
     def __init__(
         self, devices: Iterable[PacketServo], *, timing: PacketTiming | None = None, protocol: int = 2
@@ -106,18 +109,18 @@ class PacketBus:
         self.faults = WireFaults[SerialFault]()
 
     def advance(self, now: float) -> None:
-        """Carry every servo to `now`, s."""
+        """Simulate every servo up to `now`, s."""
         for device in self.devices:
             device.advance(now)
 
     def due(self) -> float:
-        """Return infinity: a servo sends nothing unasked."""
+        """Return infinity: a servo sends nothing without a request."""
         return math.inf
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> list[Reply]:
-        """Return the servos' replies to `data`, whose first byte is sent at `now`.
+        """Return the servos' replies to `data`, whose first byte is sent at `now`, s.
 
-        baudrate: bit/s of the host's line; None where every servo understands it.
+        baudrate: bit/s of the host; None: the right one for every servo.
         """
         if not data:
             self.advance(now)
@@ -154,7 +157,7 @@ class PacketBus:
         return self._timed([(d, self._status(d.line.id, *a)) for d, a in answers if a is not None], now)
 
     def _addressed(self, frame: Frame, awake: list[PacketServo], now: float) -> list[Reply]:
-        """Execute an instruction to one id; a servo that has it as its shadow id obeys without a reply."""
+        """Execute an instruction for one id. A servo whose shadow id this is obeys without a reply."""
         for device in awake:
             if device.line.id != frame.id and device.line.shadow == frame.id:
                 device.answer(frame, now)
@@ -164,9 +167,10 @@ class PacketBus:
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
     def _together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Execute an instruction that addresses several servos at once.
+        """Execute an instruction for several servos: Sync or Bulk Read, Sync or Bulk Write.
 
-        A servo that does not answer is passed over; in a Bulk Read of protocol 1.0 each waits for the one before it.
+        A servo that does not reply is skipped; but in a Bulk Read of protocol 1.0 the servos behind it wait for it and
+        do not reply.
         """
         for ident, address, data in self._writes(frame):
             if ident in present:
@@ -186,7 +190,9 @@ class PacketBus:
         return self._timed(packets, now)
 
     def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Return one status packet that the servos write one after the other; it is not stuffed."""
+        """Return the reply to a Fast Read: one status packet to which the servos add their data one after the other. It
+        is not stuffed.
+        """
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
         first = None
@@ -201,7 +207,7 @@ class PacketBus:
         return [] if first is None else self._timed([(first, out)], now)
 
     def _timed(self, packets: list[tuple[PacketServo, bytes]], now: float) -> list[Reply]:
-        """Return the packets as they arrive at the host, one after the other, with the faults that were injected."""
+        """Return the packets as they arrive at the host one after the other, with the injected faults."""
         out: list[Reply] = []
         at = now
         for device, data in packets:
@@ -214,9 +220,9 @@ class PacketBus:
         return sorted(out, key=lambda reply: reply.at)
 
     def _delivered(self, data: bytes, now: float, byte: float) -> list[Reply]:
-        """Return a packet whose last byte ends at `now` as it arrives at the host, with the faults that were injected.
+        """Return a packet as it arrives at the host, with the injected faults.
 
-        byte: s that each takes.
+        now: s, when its last byte has been sent. byte: s that one byte takes.
         """
         match self.faults.interrupts_reply(now):
             case Unplug():
@@ -232,7 +238,7 @@ class PacketBus:
 
 
 def _collided(packets: list[bytes]) -> bytes:
-    """Return the bytes that arrive where several servos drive the line at once: a bit is low where any of them is."""
+    """Return the bytes that arrive when several servos send at once: a bit is low if any servo sends a low bit."""
     longest = max(packets, key=len)
     merged = bytearray(longest)
     for data in packets:

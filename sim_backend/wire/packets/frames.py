@@ -1,7 +1,8 @@
-"""The frames of DYNAMIXEL protocol 2.0 as the servo sees them: bytes in, instructions out, and the way back.
+"""The packets of DYNAMIXEL protocol 2.0 as a servo handles them: decode instructions and encode replies. No I/O and no
+time.
 
 Source: ROBOTIS e-manual, "Protocol 2.0" (emanual.robotis.com/docs/en/dxl/protocol2/) and "CRC calculation"
-(docs/en/dxl/crc/). No I/O and no time in here.
+(docs/en/dxl/crc/).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import NamedTuple
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 LONGEST = 1024
-"""Bytes after the length field that are believed; a longer length is noise."""
+"""The largest value of the length field that is accepted; a packet with a larger value is taken as noise."""
 SILENCE = 0.1
-"""s without a byte after which a servo gives up the packet that it waits for ("Protocol 1.0", Instruction Packet)."""
+"""s without a byte after which a servo discards an incomplete packet ("Protocol 1.0", Instruction Packet)."""
 
 
 class Instruction(IntEnum):
@@ -41,7 +42,7 @@ class Instruction(IntEnum):
 
 
 class Error(IntEnum):
-    """The error number of a status packet; bit 7 beside it is the alert."""
+    """The error number of a status packet. Bit 7 of the same byte is the alert."""
 
     NONE = 0
     RESULT_FAIL = 1
@@ -55,7 +56,9 @@ class Error(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One instruction packet. sound: its checksum was right. size: bytes it took on the wire, stuffing included."""
+    """A received instruction packet. sound: whether its checksum is right. size: number of its bytes on the wire, with
+    stuffing.
+    """
 
     id: int
     instruction: int
@@ -78,7 +81,9 @@ _CRC = _crc_table()
 
 
 def crc(data: bytes, start: int = 0) -> int:
-    """The 16-bit checksum of `data`: polynomial 0x8005, most significant bit first, begun at `start`."""
+    """Return the 16 bit checksum of `data`: polynomial 0x8005, most significant bit first, with the initial value
+    `start`.
+    """
     value = start
     for byte in data:
         value = ((value << 8) & 0xFFFF) ^ _CRC[(value >> 8) ^ byte]
@@ -86,38 +91,38 @@ def crc(data: bytes, start: int = 0) -> int:
 
 
 def stuffed(payload: bytes) -> bytes:
-    """`payload`, instruction to last parameter, with FD after every FF FF FD."""
+    """Return `payload` (instruction to last parameter) with a byte FD inserted after every FF FF FD."""
     return payload.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
 def unstuffed(payload: bytes) -> bytes:
-    """`payload` as it was before `stuffed`."""
+    """Return `payload` without the bytes that `stuffed` inserted."""
     return payload.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
 def packet(ident: int, payload: bytes) -> bytes:
-    """The bytes of a packet whose instruction and parameters are `payload`."""
+    """Return a packet to or from `ident`. payload: instruction and parameters."""
     body = stuffed(payload)
     frame = HEADER + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
     return frame + crc(frame).to_bytes(2, "little")
 
 
 def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet."""
+    """Return a status packet from the servo `ident`."""
     return packet(ident, bytes([Instruction.STATUS, error]) + parameters)
 
 
 class Taken(NamedTuple):
-    """The beginning of a stream of bytes: a packet, or junk where `frame` is None, and its number of bytes."""
+    """What a stream of bytes begins with: a packet, or junk if `frame` is None; and its number of bytes."""
 
     frame: Frame | None
     used: int
 
 
 class Framer:
-    """A search for packets in a stream of bytes, whatever the pieces it arrives in and whatever lies in between.
+    """Finds packets in a stream of bytes, which may arrive in any pieces and with junk between packets.
 
-    take: the protocol's `take_packet`, which returns None where more bytes are needed.
+    take: the protocol's function `take_packet`, which returns None if more bytes are needed.
     """
 
     def __init__(self, take: Callable[[bytes], Taken | None]) -> None:
@@ -126,9 +131,10 @@ class Framer:
         self._heard = 0.0
 
     def feed(self, data: bytes, begin: float = 0.0, end: float = 0.0) -> list[tuple[Frame, int]]:
-        """Return the packets completed by `data`, each with the number of bytes of `data` used up by then.
+        """Add `data` to the stream. Return the packets that are complete now, each with the number of bytes of `data`
+        up to its end.
 
-        begin, end: s, when the first of its bytes begins and the last has ended.
+        begin, end: s, when the first byte of `data` begins and the last byte ends.
         """
         if data:
             self._rest = b"" if begin - self._heard > SILENCE else self._rest
@@ -146,10 +152,11 @@ class Framer:
 
 
 def take_packet(rest: bytes) -> Taken | None:
-    """Return the packet or the junk with which `rest` begins. Status packets of other devices count as junk.
+    """Return the packet or the junk with which `rest` begins; None if more bytes are needed. Status packets of other
+    devices count as junk.
 
-    After a packet with a wrong checksum the search goes on behind its header, so that a damaged length costs no more
-    than the bytes that it spans.
+    After a packet with a wrong checksum the search continues behind the packet's header, so that a damaged length field
+    loses only the bytes of that packet.
     """
     at = rest.find(HEADER)
     if at < 0:
@@ -171,7 +178,9 @@ def take_packet(rest: bytes) -> Taken | None:
 
 
 def writes(frame: Frame) -> list[tuple[int, int, bytes]]:
-    """Return id, address and data of each write of a Sync Write or a Bulk Write; of any other instruction none."""
+    """Return the writes of a Sync Write or Bulk Write, each as (id, address, data); an empty list for any other
+    instruction.
+    """
     p, out = frame.parameters, []
     if frame.instruction == Instruction.SYNC_WRITE:
         address, size = _words(p)
@@ -184,7 +193,9 @@ def writes(frame: Frame) -> list[tuple[int, int, bytes]]:
 
 
 def reads(frame: Frame) -> list[tuple[int, int, int]]:
-    """Return id, address and size of each read of a Sync Read or a Bulk Read, fast or not; else none."""
+    """Return the reads of a Sync Read or Bulk Read, fast or not, each as (id, address, size); an empty list for any
+    other instruction.
+    """
     p = frame.parameters
     if frame.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
         return [(ident, *_words(p)) for ident in p[4:]]

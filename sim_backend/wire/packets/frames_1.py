@@ -1,6 +1,6 @@
-"""The frames of protocol 1.0 as the servo sees them.
+"""The packets of protocol 1.0 as a servo handles them: decode instructions and encode replies. No I/O and no time.
 
-Source: ROBOTIS e-manual, "Protocol 1.0" (emanual.robotis.com/docs/en/dxl/protocol1/). No I/O and no time in here.
+Source: ROBOTIS e-manual, "Protocol 1.0" (emanual.robotis.com/docs/en/dxl/protocol1/).
 """
 
 from __future__ import annotations
@@ -11,21 +11,23 @@ HEADER = b"\xff\xff"
 
 
 def checksum_1(body: bytes) -> int:
-    """Return the complement of the low byte of the sum of everything between header and checksum."""
+    """Return the checksum of `body`, the bytes between header and checksum: the complement of the low byte of their
+    sum.
+    """
     return 0xFF - sum(body) % 0x100
 
 
 def status_1(ident: int, error: int, parameters: bytes = b"") -> bytes:
-    """The bytes of a status packet."""
+    """Return a status packet from the servo `ident`."""
     body = bytes([ident, 2 + len(parameters), error]) + parameters
     return HEADER + body + bytes([checksum_1(body)])
 
 
 def take_packet_1(rest: bytes) -> Taken | None:
-    """Return the instruction packet or the junk with which `rest` begins, None where more bytes are needed.
+    """Return the instruction packet or the junk with which `rest` begins; None if more bytes are needed.
 
-    Nothing in a packet distinguishes an instruction from another servo's reply, so replies must not be fed in. After a
-    wrong checksum the search goes on behind the header.
+    In protocol 1.0 an instruction looks like another servo's reply, so replies must not be passed to this function.
+    After a wrong checksum the search continues behind the packet's header.
     """
     at = rest.find(HEADER)
     if at < 0:
@@ -45,7 +47,7 @@ def take_packet_1(rest: bytes) -> Taken | None:
 
 
 def writes_1(frame: Frame) -> list[tuple[int, int, bytes]]:
-    """Return id, address and data of each write of a Sync Write; of any other instruction none."""
+    """Return the writes of a Sync Write, each as (id, address, data); an empty list for any other instruction."""
     p = frame.parameters
     if frame.instruction != Instruction.SYNC_WRITE or len(p) < 2:
         return []
@@ -54,9 +56,11 @@ def writes_1(frame: Frame) -> list[tuple[int, int, bytes]]:
 
 
 def reads_1(frame: Frame) -> list[tuple[int, int, int]]:
-    """Id, address and size of each read of a Bulk Read or a Sync Read; of any other instruction none.
+    """Return the reads of a Bulk Read or Sync Read, each as (id, address, size); an empty list for any other
+    instruction.
 
-    ROBOTIS's servos have no Sync Read on protocol 1.0, Feetech's STS have one: address, size, and the ids.
+    ROBOTIS's servos have no Sync Read in protocol 1.0. Feetech's STS have one; its parameters are address, size, and
+    the ids.
     """
     p = frame.parameters
     if frame.instruction == Instruction.SYNC_READ and len(p) > 1:

@@ -1,4 +1,4 @@
-"""The memory of an emulated servo: a table of named items over bytes."""
+"""The memory of an emulated servo: bytes, and a table of the items that they hold."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item of a control table.
+    """An item of a control table.
 
-    low, high: the range a write must keep to. sign_bit: the bit that holds the sign; 0: two's complement where `low` is
-    negative, else unsigned. writable: RW.
+    low, high: the range of values that may be written. sign_bit: the bit that means negative; 0: two's complement if
+    `low` is negative, else unsigned. writable: whether it may be written.
     """
 
     address: int
@@ -26,9 +26,10 @@ class Item:
 
 
 def items_of(*tables: Mapping[str, Sequence[Any]], initial: Mapping[str, int]) -> tuple[Item, ...]:
-    """Return the items of tables as table.toml has them: address, bytes, r or rw, initial, low, high, bit of the sign.
+    """Return the items of the tables of table.toml, whose columns are: address, bytes, r or rw, initial value, low,
+    high, sign bit.
 
-    initial: the values by name that differ from those of the tables.
+    initial: initial values by name that replace those of the tables.
     """
     items = []
     for name, (address, size, access, *more) in (row for table in tables for row in table.items()):
@@ -38,7 +39,7 @@ def items_of(*tables: Mapping[str, Sequence[Any]], initial: Mapping[str, int]) -
 
 
 class Registers:
-    """The items of one servo, at their initial values. big: words have the high byte first.
+    """The memory of one servo, with the items at their initial values. big: whether words have the high byte first.
 
     memory: the bytes; an address without an item holds zero.
     """
@@ -51,7 +52,7 @@ class Registers:
         self.reset()
 
     def reset(self, first: int = 0) -> None:
-        """Set the items from address `first` on to their initial values."""
+        """Set the items at addresses from `first` on to their initial values."""
         for item in self.items.values():
             if item.address >= first:
                 self.store(item, item.initial)
@@ -61,12 +62,14 @@ class Registers:
         return name in self._named
 
     def get(self, name: str) -> int:
-        """Return the value of an item, 0 where the model has none of that name."""
+        """Return the value of an item; 0 if the model has no item of this name."""
         item = self._named.get(name)
         return 0 if item is None else self.value(item)
 
     def put(self, name: str, value: int) -> None:
-        """Set an item from inside the servo, no rule asked; without effect where the model has none of that name."""
+        """Set an item as the servo's own firmware does, without access rules. Has no effect if the model has no item of
+        this name.
+        """
         if name in self._named:
             self.store(self._named[name], value)
 
@@ -75,7 +78,7 @@ class Registers:
         return self.decoded(item, self.memory[item.address : item.address + item.size])
 
     def decoded(self, item: Item, data: bytes | bytearray) -> int:
-        """Return the value that `data` has as `item`."""
+        """Decode the bytes `data` of `item`."""
         if not item.sign_bit:
             return int.from_bytes(data, self._order, signed=item.low < 0)
         raw = int.from_bytes(data, self._order)
@@ -83,7 +86,7 @@ class Registers:
         return -magnitude if raw >> item.sign_bit & 1 else magnitude
 
     def store(self, item: Item, value: int) -> None:
-        """Set `item` to as many of the value's low bits as it has room for, no rule asked."""
+        """Write as many low bits of `value` as `item` holds, without access rules."""
         if item.sign_bit:
             value = abs(value) | (1 << item.sign_bit if value < 0 else 0)
         raw = (value % (1 << 8 * item.size)).to_bytes(item.size, self._order)
@@ -92,9 +95,11 @@ class Registers:
     def covered(
         self, address: int, data: bytes, behind: Callable[[int], int] = lambda address: address
     ) -> Iterator[tuple[Item | None, bytes]]:
-        """Yield each item that a write of `data` to `address` covers and its bytes, too few at a torn end.
+        """Yield each item that a write of `data` to `address` covers, with its bytes; an item that is cut off at the
+        end has too few bytes.
 
-        A byte without an item comes alone, with None. behind: the address that an address stands for.
+        A byte without an item is yielded alone, with None. behind: a function that returns the address which is
+        accessed through an address (indirect addressing).
         """
         at = 0
         while at < len(data):

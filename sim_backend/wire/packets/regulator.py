@@ -1,8 +1,9 @@
-"""The demand law of an emulated servo in its operating modes, and the joint at its horn.
+"""The demand law of an emulated servo in each operating mode, and the joint at its horn.
 
-The loops are not the vendors', whose gains are in units of their own: the current goal is the current, and position and
-velocity are closed with gains from the inertia, at the bandwidth below. In PWM mode the stall torque is right, kt V/R,
-and the speed without load is not, since the inertia is not a real gearbox's.
+The control loops are not the vendors', whose gains have units of their own. The goal current becomes the current
+directly. Position and velocity are controlled with gains that follow from the inertia and the bandwidth `BANDWIDTH`. In
+PWM mode the stall torque is right, kt V/R, but the no-load speed is not, because the inertia is not that of a real
+gearbox.
 """
 
 from __future__ import annotations
@@ -17,26 +18,27 @@ from sim_backend.parameters import CouplingParameters, LinkParameters, MotorPara
 from sim_backend.wire.plant_motor import BEAT, PlantMotor
 
 CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
-"""The modes, by DYNAMIXEL's values of Operating Mode(11)."""
+"""The operating modes, with DYNAMIXEL's values of Operating Mode(11)."""
 COUNT = 2.0 * math.pi / 4096.0
-"""rad a count of position."""
+"""rad in one count of position."""
 BANDWIDTH = 2.0 * math.pi * 10.0
-"""rad/s of the position loop."""
+"""Bandwidth of the position loop, rad/s."""
 
 
 class Stalling(Protocol):
-    """A model of a servo. stall: V, A, N m at stall."""
+    """A servo model with a known stall point. stall: voltage V, current A and torque N m at stall."""
 
     @property
     def stall(self) -> tuple[float, float, float]:
-        """The stall point."""
+        """Voltage V, current A and torque N m at stall."""
 
 
 def joint_at_horn(model: Stalling, coupling: CouplingParameters | None = None) -> SimParameters:
-    """Return the plant of a servo that drives the joint directly: eta is 1, and motor and gearbox are the servo's own.
+    """Return the plant of a servo whose horn drives the joint directly: the gear ratio eta is 1. Torque constant and
+    winding follow from the stall point.
 
-    coupling: the cable, the paper's joint where None. The inertia at the horn is the default motor's at its joint, so
-    that the resonance is the same; it is far below that of a real gearbox.
+    coupling: the cable; None: that of the paper's joint. The inertia at the horn equals the default motor's inertia as
+    seen at the joint, so that the resonance is the same. It is far below the inertia of a real gearbox.
     """
     volts, amperes, torque = model.stall
     motor = MotorParameters(
@@ -53,9 +55,9 @@ def joint_at_horn(model: Stalling, coupling: CouplingParameters | None = None) -
 
 @dataclass(frozen=True, slots=True)
 class Goals:
-    """The goals that the control table sets.
+    """The goals of the control loops, from the control table.
 
-    current A (the ceiling in mode 5), velocity rad/s, position rad over any number of turns, duty -1 to 1.
+    current: A (in mode 5 the current limit). velocity: rad/s. position: rad, over any number of turns. duty: -1 to 1.
     """
 
     mode: int = POSITION
@@ -66,7 +68,7 @@ class Goals:
 
 
 class Regulator:
-    """The loops of one servo of `model`."""
+    """The control loops of a servo of `model`."""
 
     def __init__(self, model: Stalling) -> None:
         volts, amperes, torque = model.stall
@@ -83,21 +85,21 @@ class Regulator:
         return motor.torque / self.torque_constant
 
     def duty(self, motor: PlantMotor[Any]) -> float:
-        """Return the share of the supply voltage that is across the motor, -1 to 1."""
+        """Return the voltage at the motor divided by the supply voltage, -1 to 1."""
         volts = self.current(motor) * self._resistance + self.torque_constant * motor.rate
         return max(-1.0, min(1.0, volts / self._supply))
 
     def beats(self, enabled: bool) -> bool:
-        """Return whether the loops run."""
+        """Return whether the control loops run, so that the torque must be computed again and again."""
         return enabled
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Self:
-        """Empty the integral; the goals stay."""
+        """Reset the integral of the loops; keep the goals."""
         self._integral = 0.0
         return self
 
     def demand(self, motor: PlantMotor[Any]) -> float:
-        """Return the torque demanded in this beat, N m."""
+        """Return the torque that is demanded until the next evaluation, N m."""
         goals, kt = self.goals, self.torque_constant
         if goals.mode == CURRENT:
             return float(np.clip(goals.current * kt, -self._stall_torque, self._stall_torque))
@@ -112,7 +114,9 @@ class Regulator:
         return max(-ceiling, min(ceiling, wanted))
 
     def _speed_loop(self, motor: PlantMotor[Any]) -> tuple[float, float]:
-        """Return the torque wanted, and by how much the integral grows in a beat, N m."""
+        """Return the torque that the speed loop demands, and the increment of its integral until the next evaluation, N
+        m.
+        """
         error, damping = self.goals.velocity - motor.velocity, motor.inertia * BANDWIDTH
         return damping * error + self._integral, damping * BANDWIDTH * error * BEAT
 

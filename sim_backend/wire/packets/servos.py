@@ -1,4 +1,4 @@
-"""Several emulated servos of one model for one line."""
+"""Make several emulated servos of one model for one serial line."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def servos(
     parameters: SimParameters | None,
     log: TorqueLog | None,
 ) -> list[Servo]:
-    """Return servos of one of `models`, each with a plant of its own, powered now on the monotonic clock.
+    """Return servos of `model`, each with its own plant. They are powered now, on the monotonic clock.
 
-    make: makes one from its model and id, and baudrate, parameters and now as keywords. highest: the highest id.
-    rates: the baud rates there are, bit/s. parameters: the plant, in which the motor's constant and winding are made
-    the model's; None: the paper's joint on the horn. log: of the torque of each. Raises ValueError for a model, an id
-    or a baud rate that cannot be.
+    make: a function that makes a servo from model and id, with the keywords baudrate, parameters and now. models: the
+    known models. highest: the highest id. rates: the possible baud rates, bit/s. parameters: the plant, whose torque
+    constant and winding are replaced by the model's; None: the paper's joint at the horn. log: where the torque of each
+    servo is logged. Raises ValueError for an impossible model, id or baud rate.
     """
     if model not in models:
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(sorted(models))}")
@@ -56,6 +56,8 @@ def servos(
 
 
 def follow_all(plan: FaultPlan | None, bus: PacketBus) -> None:
-    """Let the faults of `plan` happen on a line and in its servos, powered now. Raises ValueError as `follow`."""
+    """Add the faults of `plan` to a line and its servos; the plan's times count from now. Raises ValueError as
+    `follow`.
+    """
     if plan is not None:
         follow(plan, bus.faults, [device.motor for device in bus.devices], time.monotonic(), can=False)

@@ -1,4 +1,6 @@
-"""Wakes a `select` when a program opens or closes a file: Linux's inotify, which Python's library does not offer."""
+"""Wake up a `select` when a program opens or closes a file, with Linux's inotify, which Python's library does not
+offer.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,9 @@ _OPEN, _CLOSED_AFTER_WRITING, _CLOSED = 0x20, 0x08, 0x10
 
 
 class Openings:
-    """The openings and closings of the file `path`.
+    """Watches the file `path` for being opened or closed.
 
-    files: file descriptors, readable after one; empty where the system has no inotify.
+    files: file descriptors for `select`, readable after such an event; empty if the system has no inotify.
     """
 
     def __init__(self, path: str) -> None:
@@ -34,7 +36,7 @@ class Openings:
             return False
 
     def close(self) -> None:
-        """Watch no longer."""
+        """Stop watching."""
         for file in self.files:
             os.close(file)
         self.files = []

@@ -1,4 +1,6 @@
-"""The bytes of a reply as they reach the host: one after the other on the line, in pieces from the adapter."""
+"""Compute when the bytes of a reply reach the host: they are sent one after the other, and the adapter passes them on
+in pieces.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,11 @@ from collections.abc import Iterable
 
 
 def paced(parts: Iterable[tuple[float, bytes]], byte: float, held: float) -> list[tuple[float, bytes]]:
-    """Return `parts`, each with the time at which its last byte has left the device, s, as pieces with their arrival.
+    """Split each part into the pieces that reach the host, and return the pieces with their times of arrival, s.
 
-    byte: s that one takes on the line. held: s for which the adapter holds received bytes back; it hands them over in
-    pieces, each `held` after its last byte. With `byte` 0 a part arrives whole.
+    parts: (time, bytes); the time, s, is when the last byte has left the device. byte: s that one byte takes on the
+    line; with 0 a part arrives whole. held: s that the adapter holds received bytes back: it passes on a piece `held`
+    after the last byte of that piece.
     """
     out: list[tuple[float, bytes]] = []
     for end, data in parts:

@@ -1,8 +1,9 @@
-"""A serial line that ends in an emulator: a pseudo-terminal behind a stable name.
+"""A serial line to an emulator: a pseudo-terminal (pty) that clients open through a symlink with a fixed name. Linux
+and macOS only.
 
-A pty has no baud rate of its own; what the client set is read from it and handed on, so that a wrong one is not
-understood. As on a serial port, a client's exclusive lock ends with the last close, however the client ended, and what
-is sent while nobody has the port open is lost. Linux and macOS only.
+A pty has no baud rate of its own. The rate that the client set is read from the pty and passed to the emulator, so that
+a wrong rate has its real effect. As on a serial port, a client's exclusive lock ends when the last client closes the
+port or dies, and bytes that are sent while no client has the port open are lost.
 """
 
 from __future__ import annotations
@@ -30,39 +31,50 @@ _SPEEDS = {getattr(termios, name): int(name[1:]) for name in dir(termios) if nam
 _TCGETS2 = 0x802C542A
 _TIOCGEXCL = 0x80045440
 _TERMIOS2 = struct.Struct("=4I20s2I")
-"""Linux: flags, characters, input and output speed in bit/s. It knows every speed, `tcgetattr` only those of the
-table above.
+"""Layout of Linux's termios2: flags, characters, input and output speed in bit/s. It holds every speed; `tcgetattr`
+knows only the speeds of the table above.
 """
 _STEP, _LONGEST_STEP = 0.05, 0.25
-"""s by which the emulator is advanced while nothing is sent: at first, and after some time of silence."""
+"""s by which the emulator is simulated at a time while nothing is sent: at first, and after a longer silence."""
 _LOOK = 2e-3
-"""s between two looks for a client where nothing wakes the emulator up when one opens the port (macOS)."""
+"""s between two checks for a client, on a system (macOS) where no event tells that a client opened the port."""
 _SPIN = 1.5e-4
-"""s before a reply is due that are waited out awake: a sleeping process wakes up late by about as much."""
+"""s before a reply is to be sent during which the thread does not sleep, because a sleeping process wakes up about that
+much too late.
+"""
 
 
 class SerialPeer(Protocol):
-    """An emulator: bytes in, bytes out, with times in s."""
+    """The interface of an emulator on a serial line: bytes in, bytes out, with times in s."""
 
     @property
     def unplugged(self) -> bool:
         """Return whether the cable has been pulled out."""
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> Sequence[tuple[float, bytes]]:
-        """Carry it to `now`; return what it sends, and when: unasked up to then, and in reply to `data`, sent then."""
+        """Receive `data` at `now`, s. Return what the emulator sends, with times: in reply to `data`, and without a
+        request up to `now`.
+
+        baudrate: bit/s that the client has set; None: the right one.
+        """
 
     def advance(self, now: float) -> None:
-        """Carry it to `now`; what it sends unasked meanwhile may be lost, since nobody has the port open."""
+        """Simulate the emulator up to `now`, s, while no client has the port open. What it sends without a request may
+        be lost.
+        """
 
     def due(self) -> float:
-        """Return when it next sends something unasked; infinite if it does not."""
+        """Return the time at which the emulator next sends something without a request, s; infinity if it never
+        does.
+        """
 
 
 class PtyLine:
-    """Serves `peer` at `link`, a symlink to the pty, in a thread, as long as the `with` lasts.
+    """Serves the emulator `peer` on a pty. `link` is a symlink to the pty. A thread serves inside the `with` block.
 
-    any_baudrate: the peer understands whatever speed the client set. lock: held while the peer is at work; whoever
-    looks at the peer takes it. Raises FileExistsError if `link` is something other than a symlink.
+    any_baudrate: whether the emulator accepts every baud rate that the client sets. lock: a lock held while the
+    emulator is simulated; whoever reads the emulator's state must take it. Raises FileExistsError if `link` exists and
+    is no symlink.
     """
 
     def __init__(self, link: Path, peer: SerialPeer, *, any_baudrate: bool = False) -> None:
@@ -75,11 +87,13 @@ class PtyLine:
         self._present = False
         """Whether a client has the port open."""
         self._left_locked = False
-        """Whether the port was found locked; by nobody, if the next look finds no client either."""
+        """Whether the port was found locked. If the next check finds no client, the lock is left from a client that is
+        gone.
+        """
         self._asked = -math.inf
-        """When a client last sent something, s."""
+        """Time at which a client last sent something, s."""
         self._unsure = True
-        """Whether a client may have come of which no event will tell."""
+        """Whether a client may have opened the port without an event that reports it."""
         self._open()
         self._wake, self._waker = os.pipe()
         self._arrivals = Arrivals[bytes]()
@@ -95,7 +109,7 @@ class PtyLine:
         self._close()
 
     def now(self) -> float:
-        """The time on the peer's clock, s."""
+        """The time on the emulator's clock, s."""
         return time.monotonic()
 
     def stop(self) -> None:
@@ -123,7 +137,9 @@ class PtyLine:
         self._drop()
 
     def _wait(self, until: float) -> bool:
-        """Wait for a client, its bytes, or something to send, but no longer than `until`, s; return whether to stop."""
+        """Wait until a client opens the port or sends bytes, or there is something to send, but no longer than `until`,
+        s. Return whether `stop` was called.
+        """
         if self._present:
             spin = _SPIN if self.now() < self._asked + _STEP else 0.0
             until = min(until, self._arrivals.next() - spin, self._peer.due())
@@ -134,14 +150,14 @@ class PtyLine:
         return self._wake in ready
 
     def serve(self) -> None:
-        """Serve in this thread until `stop` is called from another or from a signal, then clean up."""
+        """Serve in this thread until `stop` is called from another thread or from a signal, then remove the symlink."""
         try:
             self.run()
         finally:
             self._close()
 
     def _read(self) -> bytes:
-        """Return what a client has sent. Without a client the read fails, or ends on macOS."""
+        """Return what a client has sent. Without a client the read fails (Linux) or returns nothing (macOS)."""
         touched, self._unsure = not self._present and self._openings.seen(), False
         try:
             data = os.read(self._master, 4096)
@@ -160,7 +176,7 @@ class PtyLine:
         return data
 
     def _pass(self, now: float) -> None:
-        """Let the time pass to `now` in which nobody has had the port open."""
+        """Simulate the emulator up to `now` for a time in which no client had the port open."""
         with self.lock:
             self._peer.advance(now)
         self._end_session()  # one so short that it was not seen may have locked the port
@@ -171,9 +187,10 @@ class PtyLine:
             self._arrivals.add(self._peer.receive(data, self.now(), speed))
 
     def _end_session(self) -> None:
-        """After the last close: discard what was not read, as a serial port does, and see whether it is locked.
+        """After the last client closed the port: discard unread bytes, as a serial port does, and check whether the
+        port is locked.
 
-        A client may have opened and locked it since the look that found none. The next look tells.
+        A new client may have opened and locked the port meanwhile. The next check finds out.
         """
         try:
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
@@ -186,7 +203,7 @@ class PtyLine:
         self._forget_own()
 
     def _unlock(self) -> None:
-        """End the exclusive lock that a client left, as the last close of a serial port does."""
+        """Remove the exclusive lock that a client left, as the last close of a serial port does."""
         self._left_locked = False
         try:
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
@@ -201,7 +218,9 @@ class PtyLine:
         self._forget_own()
 
     def _forget_own(self) -> None:
-        """Drop the events of what this program opened; a client may have come at the same time, so look once more."""
+        """Discard the events that this program's own opening of the port caused. A client may have opened the port at
+        the same time, so check once more.
+        """
         self._openings.seen()
         self._unsure = True
 
@@ -213,7 +232,9 @@ class PtyLine:
                 os.write(self._master, reply)
 
     def _open(self) -> None:
-        """Make a pty and let the link point to it. The client's end stays closed, so that a last close is seen."""
+        """Make a pty and point the symlink to it. This program closes the client's end, so that it notices when the
+        last client closes.
+        """
         if self.link.exists() and not self.link.is_symlink():
             raise FileExistsError(f"{self.link} exists and is not a link: choose another name")
         self._master, slave = os.openpty()
@@ -227,7 +248,7 @@ class PtyLine:
         fresh.replace(self.link)
 
     def _drop(self) -> None:
-        """Hang up, as a pulled cable does."""
+        """Close the pty, which a client sees as an unplugged cable."""
         with contextlib.suppress(OSError):
             os.close(self._master)
         self._master = -1
@@ -243,14 +264,14 @@ class PtyLine:
 
 
 def _speed(descriptor: int) -> int:
-    """Return the speed that the client set, bit/s; 0 if it is not known."""
+    """Return the baud rate that the client set, bit/s; 0 if it is not known."""
     with contextlib.suppress(OSError):
         return int(_TERMIOS2.unpack(fcntl.ioctl(descriptor, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
     return _SPEEDS.get(termios.tcgetattr(descriptor)[5], 0)
 
 
 def _locked(descriptor: int) -> bool:
-    """Return whether a client has locked the port. macOS does not tell: it may be."""
+    """Return whether a client has locked the port. macOS does not report this; True is returned then."""
     try:
         return fcntl.ioctl(descriptor, _TIOCGEXCL, bytes(4)) != bytes(4)
     except OSError:
