@@ -79,6 +79,8 @@ class Regulator:
         self._supply = volts
         self._resistance = volts / amperes
         self._integral = 0.0
+        self._beat = -1
+        """The last beat in which the integral grew: the demand may be asked for more often."""
 
     def current(self, motor: PlantMotor[Any]) -> float:
         """Return the current in the winding, A."""
@@ -109,8 +111,10 @@ class Regulator:
             return kt * goals.duty * self._supply / self._resistance - braking * motor.rate
         ceiling = abs(goals.current) * kt if goals.mode == CURRENT_POSITION else self._stall_torque
         wanted, growth = self._speed_loop(motor) if goals.mode == SPEED else self._position_loop(motor)
-        if abs(wanted) <= ceiling:
+        beat = math.floor(motor.time / BEAT + 1e-6)
+        if abs(wanted) <= ceiling and beat != self._beat:
             self._integral += growth
+        self._beat = beat
         return max(-ceiling, min(ceiling, wanted))
 
     def _speed_loop(self, motor: PlantMotor[Any]) -> tuple[float, float]:
