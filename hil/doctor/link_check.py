@@ -18,7 +18,8 @@ _MARGIN = 1.1  # of the requested rate that the link must reach
 
 
 def check_link(checks: CheckList, servo: Servo, rate: float, stop: StopRequest) -> list[Sample]:
-    """Read the servo without torque for a second, as fast as it answers, and compare with `rate` Hz.
+    """Read the servo without torque for one second, as fast as it answers, and compare the rate with `rate` Hz. Return
+    the samples.
 
     Raises as `exchange` does, except for lost and bad replies, which are counted.
     """
@@ -44,7 +45,7 @@ def check_link(checks: CheckList, servo: Servo, rate: float, stop: StopRequest) 
 
 
 def reachable(bus: LinkFigures, rate: float) -> int:
-    """Return `rate` Hz, or the highest whole rate that the link reaches with a margin."""
+    """Return `rate` Hz if the link reaches it, otherwise the highest whole rate that the link reaches with a margin."""
     return max(1, min(int(rate), int(bus.rate / _MARGIN)))
 
 
@@ -63,7 +64,7 @@ def _check_figures(checks: CheckList, bus: LinkFigures, rate: float) -> None:
 
 
 def check_readings(checks: CheckList, stand: Stand, samples: list[Sample]) -> bool:
-    """Check what the sensors read at rest. Return False if no recording could be made from it."""
+    """Check the sensor readings at rest. Return False if no recording could be made with them."""
     names = ("motor_position", "motor_torque", "joint_torque", "temperature", "voltage")
     position, torque, joint, temperature, voltage = np.array([[getattr(s, name) for name in names] for s in samples]).T
     source = stand.stand.torque_source

@@ -1,1 +1,1 @@
-"""The stand file: its schema, its devices, and the servo that is opened from it."""
+"""The stand file: how it is defined, which devices it can name, and how a servo is opened from it."""

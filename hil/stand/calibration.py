@@ -1,4 +1,6 @@
-"""[calibration] of the stand file: what `hil calibrate` measured, when, and how long it may be used."""
+"""[calibration] of the stand file: the values that `hil calibrate` measured, their dates, and how long they are
+valid.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,12 @@ class _Dated(BaseModel):
 
 
 class TorqueCalibration(_Dated):
-    """[calibration.torque]: the cell's scale from known weights.
+    """[calibration.torque]: the torque cell's scale, from known weights.
 
-    scale: N m for one count or for a value of 1. uncertainty: of the scale, relative, one standard deviation.
-    offset: what the cell showed without torque, in counts or as printed. hysteresis: N m between a load that was
-    approached from below and from above; None if no load was hung both ways. residual: N m, root mean square.
+    scale: N m for one count or for a printed value of 1. uncertainty: relative standard uncertainty of the scale.
+    offset: the cell's reading without torque, in counts or as printed. hysteresis: difference, N m, between the same
+    load approached from below and from above; None if no load was hung both ways. residual: root mean square of the
+    fit's residuals, N m. points: number of loads.
     """
 
     scale: Positive
@@ -37,9 +40,10 @@ class TorqueCalibration(_Dated):
 
 
 class StepCalibration(_Dated):
-    """[calibration.step]: the cell's answer to a load that was taken off at once.
+    """[calibration.step]: the torque cell's response to a load that was taken off suddenly.
 
-    delay: s, uncertainty: s, one standard deviation. bandwidth: Hz, at which a sine keeps 71 % of its swing.
+    delay: s. uncertainty: standard uncertainty of the delay, s. bandwidth: frequency, Hz, at which a sine keeps 71 % of
+    its amplitude.
     """
 
     delay: NotNegative
@@ -48,9 +52,10 @@ class StepCalibration(_Dated):
 
 
 class FixtureCalibration(_Dated):
-    """[calibration.fixture]: the stand without a joint. recording: of the empty rig, beside the stand file.
+    """[calibration.fixture]: stiffness and damping of the stand without a joint.
 
-    stiffness: N m/rad, damping: N m s/rad, with their uncertainties, one standard deviation. uid: of the recording.
+    recording: path of the recording of the empty rig, relative to the stand file. uid: of that recording. stiffness: N
+    m/rad. damping: N m s/rad. stiffness_uncertainty, damping_uncertainty: standard uncertainties, in the same units.
     """
 
     recording: str
@@ -62,14 +67,18 @@ class FixtureCalibration(_Dated):
 
 
 class ZeroCalibration(_Dated):
-    """[calibration.zero]: the motor angle at rest, `stand.zero`. zero, uncertainty (one standard deviation): rad."""
+    """[calibration.zero]: the motor's angle at rest. zero: the angle, rad, as in `stand.zero`. uncertainty: standard
+    uncertainty, rad.
+    """
 
     zero: Finite
     uncertainty: NotNegative
 
 
 class CalibrationTable(BaseModel):
-    """[calibration]. valid_days: days after which a calibration counts as old."""
+    """[calibration]: all calibrations of the stand. valid_days: number of days after which a calibration is reported as
+    old.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -80,16 +89,16 @@ class CalibrationTable(BaseModel):
     zero: ZeroCalibration | None = None
 
     def made(self) -> dict[str, datetime]:
-        """Return the date of each calibration there is, by its name."""
+        """Return the date of each calibration in the file, by the calibration's name."""
         found = {name: getattr(self, name) for name in ("torque", "step", "fixture", "zero")}
         return {name: _in_utc(one.date) for name, one in found.items() if one is not None}
 
     def dates(self) -> dict[str, str]:
-        """Return the same as texts, ISO 8601."""
+        """Return the date of each calibration in the file as a text (ISO 8601), by the calibration's name."""
         return {name: date.isoformat(timespec="seconds") for name, date in self.made().items()}
 
     def old(self, at: datetime) -> list[Diagnostic]:
-        """Return a warning for each calibration that was older than `valid_days` at a time."""
+        """Return a warning for each calibration that was older than `valid_days` days at the time `at`."""
         limit = timedelta(days=self.valid_days)
         return [
             Diagnostic(

@@ -1,15 +1,15 @@
-"""The servos and joint sensors there are: one line each, from which all else follows.
+"""The lists of servos and joint sensors that a stand file can name. To add a device, add one line to a list.
 
 Another package adds a servo with an entry point of group `hil.backends` whose object is a `Device`.
 
-A line names the class of the device's own table in the stand file and its opener, as "module:name", so that a device's
-SDK is loaded only where that device is used. The contract behind a line:
+A line names the class of the device's table in the stand file and the function that opens the device, as "module:name".
+So the device's libraries are loaded only if the device is used. A device must fulfil this contract:
 
 * The table is a pydantic model, or a dataclass with `__pydantic_config__`, that forbids unknown keys.
 * The opener of a servo takes the table alone and returns a `drivers.servo.Servo` with its torque off.
-* The opener of a joint sensor takes the table and `clock=`, whose time its readings carry.
-* A device whose mode decides what it can be commanded has a table with `for_quantity` (`HasMode`).
-* A device that cannot do all that a stand may ask of it has a table with `restrictions` (`HasRestrictions`).
+* The opener of a joint sensor takes the table and `clock=`, the clock that gives the times of its readings.
+* If the mode of a device determines whether it takes torques or positions, its table has `for_quantity` (`HasMode`).
+* If a device cannot do all that a stand may require of it, its table has `restrictions` (`HasRestrictions`).
 """
 
 from __future__ import annotations
@@ -30,26 +30,29 @@ from hil.plugins import plugins
 
 @runtime_checkable
 class HasMode(Protocol):
-    """A table of a device that takes either torques or positions."""
+    """The interface of a table whose device takes either torques or positions, depending on its mode."""
 
     def for_quantity(self, quantity: Quantity) -> Self:
-        """Return the table with the mode that commands `quantity`. Raises ValueError if there is none."""
+        """Return the table with the mode in which the device takes `quantity`. Raises ValueError if there is no such
+        mode.
+        """
 
 
 @runtime_checkable
 class HasRestrictions(Protocol):
-    """A table of a device that cannot do all that a stand may ask of it."""
+    """The interface of a table whose device cannot do all that a stand may require of it."""
 
     def restrictions(self, torque_source: str) -> list[str]:
-        """Return what it cannot do where the stand's torque comes from `torque_source`, each with the remedy."""
+        """Return sentences about what the device cannot do, each with the remedy. torque_source: of the stand."""
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A line: an explanation, the class of its table and its opener ("": `hil.stand.opening` opens it).
+    """A servo or joint sensor that a stand file can name.
 
-    search: the function that looks for devices on a silent link, "" without one; it returns a sentence for each device
-    from the table.
+    explanation: one line for lists. table: class of the device's table. opener: function that opens the device, "" for
+    the simulated servo, which `hil.stand.opening` opens. search: function that gets the table and looks for devices on
+    a link that does not answer, "" without one; it returns a sentence for each device that it finds.
     """
 
     explanation: str
@@ -58,14 +61,15 @@ class Device:
     search: str = ""
 
     def table_class(self) -> Any:
-        """Return the class that checks its table in the stand file."""
+        """Return the class that checks the device's table in the stand file."""
         return _named(self.table)
 
 
 class _Devices(Mapping[str, Device]):
-    """Our own devices, and those of other packages, which are loaded where one of them is used or all are listed.
+    """The devices of this package and of other packages, by name. Those of other packages are loaded when they are used
+    or listed.
 
-    One that cannot be loaded is left out of the list, and `devices[name]` raises WrongUse.
+    A device that cannot be loaded is left out of the list, and `devices[name]` raises WrongUse for it.
     """
 
     def __init__(self, own: Mapping[str, Device], group: str) -> None:
@@ -130,7 +134,7 @@ BACKENDS: Mapping[str, Device] = _Devices(
     },
     plugins_of.BACKENDS,
 )
-"""The servos, by the name that `stand.backend` and their table have."""
+"""All servos, by the name in `stand.backend`, which is also the name of their table."""
 
 SENSORS: Mapping[str, Device] = MappingProxyType(
     {
@@ -141,18 +145,18 @@ SENSORS: Mapping[str, Device] = MappingProxyType(
         ),
     }
 )
-"""The joint sensors, by the name that `joint_sensor.kind` has."""
+"""All joint sensors, by the name in `joint_sensor.kind`."""
 
 
 def check_backend(name: str | None) -> str:
-    """Return the name of the backend, known to exist. Raises WrongUse."""
+    """Return `name` if a backend of that name exists. Raises WrongUse otherwise."""
     if name is None:
         raise WrongUse(f"the stand file has no backend: add backend = ... to [stand]; known are {', '.join(BACKENDS)}")
     return _known("backend", name, BACKENDS)
 
 
 def check_sensor(name: object) -> str:
-    """Return the kind of the joint sensor, known to exist. Raises WrongUse."""
+    """Return `name` if a kind of joint sensor of that name exists. Raises WrongUse otherwise."""
     if name is None:
         raise WrongUse(f"must be given; known are {', '.join(SENSORS)}")
     return _known("joint sensor", str(name), SENSORS)
@@ -161,7 +165,8 @@ def check_sensor(name: object) -> str:
 def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
     """Open the servo of backend `name` from its checked table, with its torque off.
 
-    quantity: of its set-points. Raises WrongUse if it does not accept them, DriverError if it cannot be opened.
+    quantity: what the set-points command, torque or position. Raises WrongUse if the servo does not accept such
+    set-points, DriverError if it cannot be opened.
     """
     if isinstance(table, HasMode):
         try:
@@ -177,15 +182,16 @@ def open_backend(name: str, table: Any, quantity: Quantity) -> Servo:
 
 
 def restrictions(table: Any, torque_source: str) -> list[str]:
-    """Return what the device of a checked table cannot do, each with the remedy; nothing for most.
+    """Return sentences about what the device of a checked table cannot do, each with the remedy; [] for most devices.
 
-    torque_source: of the stand. Nothing is opened for it.
+    torque_source: of the stand. No device is opened.
     """
     return table.restrictions(torque_source) if isinstance(table, HasRestrictions) else []
 
 
 def found_by_search(name: str, table: Any) -> list[str]:
-    """Return a sentence for each device of backend `name` that answers with other settings than the table's.
+    """Search the link of backend `name`. Return a sentence for each device that answers with other settings than those
+    in the table.
 
     Raises DriverError if the link cannot be opened.
     """
@@ -201,9 +207,9 @@ def open_sensor(name: str, table: Any, clock: Clock) -> JointSensor:
 
 
 def listed() -> list[tuple[str, str]]:
-    """Return name and explanation of every servo and joint sensor, those of other packages with their package.
+    """Return name and explanation of every servo and joint sensor; for a device of another package, also the package.
 
-    One that cannot be loaded is among them, with the reason.
+    For a device that cannot be loaded, the explanation is the reason.
     """
     found = [(name, device.explanation) for name, device in (*BACKENDS.items(), *SENSORS.items())]
     foreign = plugins(plugins_of.BACKENDS)

@@ -1,4 +1,4 @@
-"""A new stand.toml: the questions for it, and the commented file made from the answers."""
+"""A new stand.toml: the questions to the user, and the commented file that is made from the answers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ _UNKNOWN = object()
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One key: its table and name, its meaning, and its default (None: it must be answered)."""
+    """A question for one key of the stand file.
+
+    table, name: of the key. meaning: explanation for the user. default: None if the user must answer.
+    """
 
     table: str
     name: str
@@ -32,7 +35,7 @@ class Question:
 
     @property
     def key(self) -> str:
-        """As in the messages: table.name."""
+        """The key as it is written in messages: table.name."""
         return f"{self.table}.{self.name}"
 
 
@@ -65,17 +68,19 @@ _TABLES: Mapping[str, Any] = {"stand": StandTable, "limits": LimitsTable}
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """A stand file in the making, for `backend` and the joint sensor `sensor` (None: without one)."""
+    """A new stand file for the servo `backend` and the joint sensor `sensor` (None: without a joint sensor)."""
 
     backend: str
     sensor: str | None
 
     def questions(self) -> list[Question]:
-        """Return the questions to ask: the stand's, the device's without a default, the limits'."""
+        """Return the questions to ask: those about the stand and the limits, and those about the device that have no
+        default.
+        """
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
 
     def error(self, question: Question, value: Any) -> str:
-        """Return why `value` is not valid, "" if it is."""
+        """Return why `value` is not valid as the answer to a question, "" if it is valid."""
         table, wrong = in_si({question.name: value}, self._class_of(question.table))
         if wrong:
             return next(iter(wrong.values()))
@@ -88,7 +93,7 @@ class Draft:
         return ""
 
     def value(self, question: Question, text: str) -> Any:
-        """Return the typed text as a number where the key is one, else as text."""
+        """Return the text of an answer as a number if the key takes a number, otherwise as text."""
         try:
             value = tomllib.loads(f"x = {text}")["x"]
         except tomllib.TOMLDecodeError:
@@ -96,15 +101,19 @@ class Draft:
         return text if self.error(question, value) and not self.error(question, text) else value
 
     def question(self, key: str) -> Question | None:
-        """Return the question of a key, `table.name`; None if there is no such key."""
+        """Return the question for a key, `table.name`; None if there is no such key."""
         return self._by_key().get(key)
 
     def keys(self) -> list[str]:
-        """Return every key."""
+        """Return the keys of all questions."""
         return list(self._by_key())
 
     def text(self, answers: Mapping[str, Any]) -> str:
-        """Return the file. answers: by key; a key without one has its default, the device's in a comment."""
+        """Return the text of the stand file.
+
+        answers: values by key. A key without an answer gets its default; a default of the device is written as a
+        comment.
+        """
         lines = [
             "# hil doctor checks it. For completion in an editor: hil stand schema > stand.schema.json",
             "#:schema ./stand.schema.json",
@@ -141,7 +150,7 @@ class Draft:
 
 
 def _fields(cls: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the keys of a table with their defaults, `_UNKNOWN` where they must be given."""
+    """Yield the keys of a table with their defaults; the default is `_UNKNOWN` for a key that the user must give."""
     if dataclasses.is_dataclass(cls):
         for field in dataclasses.fields(cls):
             if field.default_factory is not dataclasses.MISSING:
@@ -154,7 +163,7 @@ def _fields(cls: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _meanings(cls: Any) -> dict[str, str]:
-    """Return the meaning of each key from the docstring of its table, written as `key: meaning.`"""
+    """Return the meaning of each key, read from the docstring of its table. There it is written as `key: meaning.`"""
     names = [name for name, _ in _fields(cls)]
     alternatives = "|".join(names)
     text = re.sub(r"\s+", " ", cls.__doc__ or "")
@@ -165,7 +174,9 @@ def _meanings(cls: Any) -> dict[str, str]:
 def _lines(
     questions: list[Question] | tuple[Question, ...], answers: Mapping[str, Any], *, optional: bool = False
 ) -> Iterator[str]:
-    """Yield key and value with the meaning after it; an optional key without an answer as a comment."""
+    """Yield a line with key and value, followed by the meaning, for each question. An optional key without an answer is
+    written as a comment.
+    """
     for question in questions:
         if question.key in answers:
             yield from _commented(f"{question.name} = {_toml(answers[question.key])}", question.meaning)

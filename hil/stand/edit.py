@@ -1,4 +1,4 @@
-"""Set keys in a stand file that people wrote: its comments, order and other keys stay."""
+"""Set keys in a stand file that people wrote; its comments, its order and its other keys are not changed."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hil.stand.file import LARGEST, parse
 
 
 def update(path: Path, changes: Mapping[str, Mapping[str, Any]]) -> None:
-    """Set keys of tables in the stand file at `path`, whole or not at all.
+    """Set keys in the stand file at `path`. Either all changes are written or none.
 
-    changes: keys and values by table, such as {"calibration.zero": {"zero": 0.1}}. Raises WrongUse if the file
-    cannot be read or written, or would no longer be a stand file.
+    changes: keys and values by table, such as {"calibration.zero": {"zero": 0.1}}. Raises WrongUse if the file cannot
+    be read or written, or if the changed file would not be a valid stand file.
     """
     import tomlkit
     from tomlkit.exceptions import TOMLKitError

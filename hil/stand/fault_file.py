@@ -1,4 +1,4 @@
-"""The file of --faults: a plan of faults in TOML, checked, each error with its line and key."""
+"""The file for --faults: a plan of faults in TOML. Every error in the file is reported with its line and key."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ class _Table(BaseModel):
 
 
 class _Fault(_Table):
-    """[[fault]]: kind, one of at (s), frame (number) and probability, and duration (s) or count (frames); size."""
+    """A table [[fault]].
+
+    kind: of the fault. at: start, s; or frame: start, number of a frame; or probability: of the fault in each frame.
+    duration: s; or count: number of frames. size: of the fault.
+    """
 
     kind: str
     at: Annotated[NotNegative, Unit("s")] | None = None
@@ -49,7 +53,7 @@ class _Fault(_Table):
         return self
 
     def planned(self) -> PlannedFault:
-        """Return the fault."""
+        """Return the fault for the simulator."""
         given = {name: value for name, value in self.model_dump().items() if value is not None}
         return PlannedFault(**given)
 
@@ -60,7 +64,7 @@ class _File(_Table):
 
 
 def load_plan(path: Path) -> FaultPlan:
-    """Return the plan in a file. Raises WrongUse with every error of it, each with its line and key."""
+    """Return the plan in a file. Raises WrongUse with all errors of the file, each with its line and key."""
     file = load_table(path, _File, _message)
     return FaultPlan([fault.planned() for fault in file.fault], file.seed)
 

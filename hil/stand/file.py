@@ -1,6 +1,6 @@
-"""The stand file, stand.toml: its tables and how it is read and checked. Nothing is opened here.
+"""The stand file, stand.toml: its tables and how it is read and checked. No device is opened here.
 
-Angles and torques of `Stand` are at the joint; `hil.stand.transmission` brings them to the motor shaft.
+Angles and torques of `Stand` are at the joint; `hil.stand.transmission` converts them to the motor shaft.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sim_backend.parameters import SimParameters
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 LARGEST = 1 << 20
-"""Bytes of a stand file."""
+"""The largest allowed size of a stand file, bytes."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -42,13 +42,14 @@ class _Table(BaseModel):
 
 
 class StandTable(_Table):
-    """[stand]: what is known of the motor and its gear.
+    """[stand]: the motor and its gear.
 
-    gear_ratio: motor turns a joint turn. motor_inertia: kg m^2. motor_damping: N m s/rad, both at the motor shaft.
-    torque_source: "joint" for a torque cell at the locked joint, "motor" to infer it through equation (1).
-    torque_uncertainty: of the torque's scale (torque constant or cell), relative, one standard deviation. zero: rad,
-    what the drive shows where the stand's motor angle is zero. torque_stays_on_if_host_dies: true acknowledges a drive
-    that keeps its last torque when this computer stops; without it such a drive is not driven.
+    gear_ratio: motor turns for one joint turn. motor_inertia: kg m^2, at the motor shaft. motor_damping: N m s/rad, at
+    the motor shaft. torque_source: "joint" for a torque cell at the locked joint, "motor" to compute the torque from
+    the motor's torque through equation (1). torque_uncertainty: relative standard uncertainty of the torque's scale
+    (torque constant or cell). zero: the angle, rad, that the drive shows where the stand's motor angle is zero.
+    torque_stays_on_if_host_dies: true accepts a drive that keeps its last torque when this computer stops; without it
+    such a drive is not driven.
     """
 
     name: str = "unnamed stand"
@@ -63,7 +64,8 @@ class StandTable(_Table):
 
 
 class LimitsTable(_Table):
-    """[limits], all at the joint: torque N m, deflection rad, velocity rad/s; temperature of the winding degC.
+    """[limits]: the largest torque, N m, deflection, rad, and velocity, rad/s, at the joint; the highest temperature of
+    the winding, degC.
 
     A value may be a text with its unit: deflection = "60 deg".
     """
@@ -75,7 +77,7 @@ class LimitsTable(_Table):
 
 
 class File(_Table):
-    """The tables that are the same for every stand."""
+    """The tables of a stand file that do not depend on the device."""
 
     stand: StandTable
     limits: LimitsTable | None = None
@@ -85,10 +87,11 @@ class File(_Table):
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """A checked stand file. `text` is the file as written; `limits` is None where the file sets none.
+    """A checked stand file.
 
-    devices: the backends' own tables, those the file has. sensor: the joint sensor's kind and table, None without one.
-    calibration: what `hil calibrate` wrote. winding: None where the file has no [winding].
+    stand, limits: the tables; limits is None if the file sets none. devices: the tables of the servos in the file, by
+    backend. sensor: kind and table of the joint sensor, None without a joint sensor. text: the file as written.
+    calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding].
     """
 
     stand: StandTable
@@ -101,14 +104,14 @@ class Stand:
 
     @property
     def sim(self) -> SimParameters:
-        """[sim], the default where the file has none."""
+        """The table [sim]; its default if the file has no such table."""
         parameters: SimParameters = self.devices.get("sim") or SimParameters()
         return parameters
 
     def simulated(self) -> SimParameters:
-        """[sim] with the motor and gear of [stand] where [sim.motor] states none.
+        """Return the parameters of [sim]. Motor and gear are taken from [stand] if [sim.motor] does not set them.
 
-        The gear is the stand's even where it is left at 1: the recorder uses it.
+        The gear ratio of [stand] is taken even if it is the default of 1, because the recorder uses that ratio.
         """
         stated = self.stand.model_dump(include=self.stand.model_fields_set)
         return self.sim.resolved(
@@ -118,13 +121,17 @@ class Stand:
         )
 
     def named_files(self) -> list[Path]:
-        """Return the files that the devices' tables name, such as a recording to replay: no output may replace them."""
+        """Return the files that the devices' tables name, such as a recording to replay: no output may replace these
+        files.
+        """
         tables = [*self.devices.values(), *([] if self.sensor is None else [self.sensor[1]])]
         values = [value for table in tables for value in TypeAdapter(type(table)).dump_python(table).values()]
         return [Path(value) for value in values if isinstance(value, str) and _is_file(value)]
 
     def calibration_diagnostics(self, at: datetime) -> list[Diagnostic]:
-        """Return a warning for each calibration that is old at a time, or whose result the file no longer uses."""
+        """Return a warning for each calibration that was old at the time `at`, or whose result is not used in the stand
+        file any more.
+        """
         found, torque = self.calibration.old(at), self.calibration.torque
         used = None if self.sensor is None else getattr(self.sensor[1], "scale", None)
         if torque is not None and used != torque.scale:
@@ -138,7 +145,7 @@ class Stand:
         return found
 
     def checked_limits(self) -> LimitsTable:
-        """The limits, without which nothing is driven. Raises WrongUse if the file has none."""
+        """Return the limits. Raises WrongUse if the file has none: without limits nothing is driven."""
         if self.limits is None:
             raise WrongUse("the stand file sets no limits: add [limits] with torque, deflection and velocity")
         return self.limits
@@ -159,7 +166,7 @@ deflection = 1.0
 velocity = 100.0
 temperature = 80.0
 """
-"""The stand of `--backend sim`. All other keys have the simulator's defaults."""
+"""The stand file for `--backend sim`. All other keys have the simulator's defaults."""
 
 
 def _is_file(name: str) -> bool:
@@ -170,13 +177,15 @@ def _is_file(name: str) -> bool:
 
 
 def load(path: Path) -> Stand:
-    """Return the stand in a TOML file. Raises WrongUse with every error of the file at once, each with its key."""
+    """Return the stand in a TOML file. Raises WrongUse with all errors of the file, each with its key."""
     text = read_text(path, largest=LARGEST)
     return parse(text, str(path))
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:
-    """Return the stand in `text`. Raises WrongUse with every error at once, each with its key."""
+    """Return the stand in `text`. Raises WrongUse with all errors, each with its key. name: of the file, for
+    messages.
+    """
     try:
         return _parsed(text, name)
     except RecursionError:
@@ -200,7 +209,7 @@ def _parsed(text: str, name: str) -> Stand:
 
 
 def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_Error]]:
-    """Return the file as a checked model, and what is wrong with it."""
+    """Return the checked stand file as a model, and the errors in it; the model is None if there are errors."""
     values, units = in_si(table, model)
     wrong: list[_Error] = [(place, f"{_key(place)}: {said}") for place, said in units.items()]
     try:
@@ -211,7 +220,9 @@ def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_
 
 
 def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
-    """Remove and return the kind in [joint_sensor], whose other keys are the sensor's own; and the errors in it."""
+    """Remove the key `kind` from [joint_sensor] and return it, and the errors in it. The remaining keys are defined by
+    the sensor.
+    """
     sensor = table.get("joint_sensor")
     if not isinstance(sensor, dict):
         return None, []
@@ -223,7 +234,7 @@ def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
 
 
 def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
-    """Return the model of a file with the tables of these devices; no other device's code is loaded."""
+    """Return the model of a stand file with the tables of these devices; the code of other devices is not loaded."""
     tables: dict[str, Any] = {name: (BACKENDS[name].table_class(), ...) for name in sorted(backends)}
     if sensor is not None:
         tables["joint_sensor"] = (SENSORS[sensor].table_class(), ...)

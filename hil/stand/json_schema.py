@@ -1,4 +1,4 @@
-"""The JSON schema of stand.toml, for editors that check and complete; made from the models that check the file."""
+"""The JSON schema of stand.toml, for editors that check and complete it; made from the models that check the file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NUMBER_AND_UNIT = r"^\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*\S"
 
 
 def stand_schema() -> dict[str, Any]:
-    """Return the schema, with the tables of every backend and joint sensor."""
+    """Return the JSON schema of stand.toml, with the tables of every backend and joint sensor."""
     tables: dict[str, Any] = {name: (device.table_class(), None) for name, device in BACKENDS.items()}
     tables |= {f"{_SENSOR}{kind}": (device.table_class(), None) for kind, device in SENSORS.items()}
     schema = create_model("Stand", __base__=File, **tables).model_json_schema()
@@ -36,7 +36,7 @@ def stand_schema() -> dict[str, Any]:
 
 
 def _with_unit(field: dict[str, Any], unit: str) -> dict[str, Any]:
-    """Return the field of a physical quantity, SI, which may also be a text with its unit."""
+    """Return the schema of a physical quantity: a number in SI or a text with a unit."""
     bounds = {name: value for name, value in field.items() if name not in {"title", "default", "description", "anyOf"}}
     text = {"type": "string", "pattern": _NUMBER_AND_UNIT}
     kept = {name: field[name] for name in ("title", "default", "description") if name in field}
@@ -44,12 +44,12 @@ def _with_unit(field: dict[str, Any], unit: str) -> dict[str, Any]:
 
 
 def _resolved(field: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """Return the definition that a field refers to."""
+    """Return the schema of a field; if the field is a reference, the definition that it refers to."""
     definition: dict[str, Any] = definitions[str(field["$ref"]).rpartition("/")[2]]
     return definition
 
 
 def _with_kind(kind: str, table: dict[str, Any]) -> dict[str, Any]:
-    """Return a sensor's table with the key of its kind."""
+    """Return the schema of a joint sensor's table with the key `kind` added."""
     properties = {"kind": {"const": kind}, **table.get("properties", {})}
     return table | {"properties": properties, "required": ["kind", *table.get("required", [])]}

@@ -25,12 +25,13 @@ def open_servo(
     watch: Watch | None = None,
     watched: bool = True,
 ) -> tuple[Servo, Mapping[str, float]]:
-    """Open the stand's servo, which the caller closes. Return it and the truth of a simulated one ({} otherwise).
+    """Open the stand's servo; the caller closes it. Return the servo, and the true parameters if it is simulated ({}
+    otherwise).
 
-    The stand's joint sensor and its zero are part of it. quantity: of the set-points, which selects a drive's mode.
-    seed: of everything random in a simulated servo. realtime: simulate in wall time. watch: when a guardian
-    switches the torque off in this process's place; None: without one. watched: whether a simulated drive's watchdog
-    works. Raises WrongUse, DriverError.
+    The returned servo includes the stand's joint sensor and zero. quantity: what the set-points command, which selects
+    the mode of some drives. seed: of all random numbers in a simulated servo. realtime: run a simulated servo in wall
+    time. watch: when a guardian switches the torque off; None: without a guardian. watched: whether the watchdog of a
+    simulated drive works. Raises WrongUse, DriverError.
     """
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
@@ -56,7 +57,7 @@ def open_servo(
 
 
 def require_watchdog(stand: Stand, info: ServoInfo) -> None:
-    """Raise WrongUse if the drive keeps its torque when this computer stops, unless the stand accepts that."""
+    """Raise WrongUse if the drive keeps its torque when this computer stops, unless the stand file accepts that."""
     if info.watchdog > 0.0 or stand.stand.torque_stays_on_if_host_dies:
         return
     remedy = f"{info.watchdog_remedy}; or " if info.watchdog_remedy else ""
@@ -68,7 +69,9 @@ def require_watchdog(stand: Stand, info: ServoInfo) -> None:
 
 
 def _table_of(stand: Stand, name: str) -> Any:
-    """Return the backend's own table. Raises WrongUse if the file has none, with the keys that it must have."""
+    """Return the table of the backend `name`. Raises WrongUse, with the keys that the table needs, if the file has no
+    such table.
+    """
     if name in stand.devices:
         return stand.devices[name]
     try:

@@ -1,6 +1,6 @@
-"""A recording played back as a servo: every exchange returns its next row and ignores the command.
+"""A recording played back as a servo: every exchange returns the recording's next row and ignores the command.
 
-For trying out limits, the live view and scripts on what a stand once did. Nothing turns.
+With a replay, limits, the live view and scripts can be tried out on recorded data. Nothing turns.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ class ReplayConfig:
 
 
 def replayed(path: Path) -> Stand:
-    """Return the stand on which a recording was made, with the recording in the place of its servo.
+    """Return the stand with which `path` was recorded, but with the recording played back in place of the servo.
 
-    Raises WrongUse and Untrustworthy as opening a recording does, and WrongUse for one that holds no stand file.
+    Raises WrongUse if the recording contains no stand file; raises WrongUse and Untrustworthy as opening a recording
+    does.
     """
     from hil.recording.reader import Recording
     from hil.stand.file import parse
@@ -43,14 +44,19 @@ def replayed(path: Path) -> Stand:
         recording.check_unchanged()
         text = recording.stand_toml
     if not text:
-        raise WrongUse(f"{path} holds no stand file, whose limits a replay needs: name it in [replay] of a stand file")
+        raise WrongUse(
+            f"{path} contains no stand file, so a replay of it has no limits: write a stand file with [limits] and "
+            f"with recording = '{path}' in [replay], and give that file with --stand"
+        )
     stand = parse(text, f"{path}: stand_toml")
     table = stand.stand.model_copy(update={"backend": "replay", "zero": 0.0})  # its positions have lost their zero
     return replace(stand, stand=table, devices={"replay": ReplayConfig(str(path))}, sensor=None)
 
 
 class ReplayServo:
-    """The recording as a servo in virtual time. Raises WrongUse and Untrustworthy as opening a recording does."""
+    """A servo that plays a recording back in virtual time. Raises WrongUse and Untrustworthy as opening a recording
+    does.
+    """
 
     def __init__(self, config: ReplayConfig) -> None:
         from hil.recording.reader import Recording
@@ -70,23 +76,25 @@ class ReplayServo:
 
     @property
     def info(self) -> ServoInfo:
-        """The recording's path; every set-point is accepted and ignored, so that nothing is left to stop."""
+        """The description of this servo: the recording's path as model, and no watchdog time, because nothing can
+        move.
+        """
         return ServoInfo(backend="replay", model=str(self._recording.path), watchdog=math.inf)
 
     @property
     def clock(self) -> Clock:
-        """Virtual time."""
+        """The virtual clock of the playback."""
         return self._clock
 
     def arm(self, limits: Limits) -> None:
-        """Begin to play: from now on every exchange is the next row. Raises LinkLost when closed."""
+        """Begin to play: every exchange returns the next row from now on. Raises LinkLost if the servo is closed."""
         with self._gate.arming(limits):
             pass
 
     def exchange(self, command: Command) -> Sample:
-        """The next row; while disarmed the same one, again and again, without torque: nothing is driven.
+        """Return the next row of the recording. While disarmed, return the present row again, with zero motor torque.
 
-        Raises UnsafeCommand, NoReply if the row's reply was lost, LinkLost if the recording ends.
+        Raises UnsafeCommand, NoReply if the row's reply was lost in the recording, LinkLost at the recording's end.
         """
         self._gate.admit(command)
         sample = self._next
@@ -104,11 +112,11 @@ class ReplayServo:
         self._gate.disarm()
 
     def close(self) -> None:
-        """Close the file. Harmless when already closed."""
+        """Close the recording. Harmless if it is closed already."""
         self._gate.close()
 
     def _samples(self) -> Iterator[Sample]:
-        """The rows; joint_torque is NaN where the recording has none of its own."""
+        """Yield the rows as samples; joint_torque is NaN if the recording has no torque cell at the joint."""
         for _, rows in self._recording.rows():
             for row in rows:
                 yield Sample(
@@ -126,7 +134,7 @@ class ReplayServo:
 
 
 def _at(sample: Sample, now: float) -> Sample:
-    """Return the sample with its times moved so that it was requested `now`, s."""
+    """Return the sample with all its times shifted, so that its request was sent at `now`, s."""
     read = sample.t_read - sample.t
     age = sample.t_joint - sample.t
     return replace(sample, t=now, t_read=now + (read if math.isfinite(read) else 0.0), t_joint=now + age)

@@ -1,4 +1,4 @@
-"""Sentences for the values that a stand file cannot have, in place of pydantic's own."""
+"""Sentences about wrong values in a stand file; they replace pydantic's own sentences."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _SENTENCES: Mapping[str, str] = MappingProxyType(
     }
 )
 NO_SUCH_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
-"""The types of errors of a key that is not known."""
+"""The types of pydantic errors that mean an unknown key."""
 _ABOUT_THE_KEY = NO_SUCH_KEY | {"missing", "missing_argument", "value_error"}
 
 
 def sentence(item: Any) -> str:
-    """Return what is wrong with a value, in one of the entries of a ValidationError's `errors()`."""
+    """Return a sentence about a wrong value. item: an entry of a ValidationError's `errors()`."""
     text = _SENTENCES.get(item["type"], "is not a value that this key can have")
     near = ""
     if item["type"] in {"literal_error", "enum"} and isinstance(item["input"], str):
@@ -54,5 +54,5 @@ def sentence(item: Any) -> str:
 
 
 def names_the_value(item: Any) -> bool:
-    """Return whether the sentence needs the value before it."""
+    """Return whether the wrong value must be printed before the sentence."""
     return item["type"] not in _ABOUT_THE_KEY

@@ -1,4 +1,6 @@
-"""A servo and a joint sensor on another link as one servo, whose motor angle counts from the stand's zero."""
+"""A servo and a joint sensor on another link, combined to one servo; its motor angle is relative to the stand's
+zero.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,15 @@ from drivers.servo import (
 )
 
 SILENCE = 0.25
-"""s without a reading of the joint sensor that are gaps in the data; a longer silence ends the run."""
+"""The longest silence of the joint sensor, s, that is recorded as a gap in the data; a longer silence ends the run."""
 
 
 class StandServo:
-    """`servo` with the stand's zero, rad at the motor shaft, and `sensor` at the joint (None: the servo's own).
+    """The servo of a stand: `servo` with the stand's zero and the joint sensor.
 
-    A sensor slower than the loop is read again before it has anything new: its last reading is kept, with the time it
-    was taken (`Sample.t_joint`). A reading that is lost is NaN in its sample.
+    zero: rad at the motor shaft. sensor: at the joint, None without a separate sensor. If the sensor is slower than the
+    control loop, its last reading is repeated, with the time at which it was taken (`Sample.t_joint`). A reading that
+    is lost is NaN in its sample.
     """
 
     def __init__(self, servo: Servo, zero: float, sensor: JointSensor | None) -> None:
@@ -39,28 +42,29 @@ class StandServo:
 
     @property
     def inner(self) -> Servo:
-        """The servo itself."""
+        """The servo without joint sensor and zero."""
         return self._servo
 
     @property
     def info(self) -> ServoInfo:
-        """The servo's own."""
+        """The description of the servo."""
         return self._servo.info
 
     @property
     def clock(self) -> Clock:
-        """The servo's; the sensor's readings carry its time too."""
+        """The servo's clock, which also gives the times of the sensor's readings."""
         return self._servo.clock
 
     def arm(self, limits: Limits) -> None:
-        """Arm the servo; raises as it does."""
+        """Arm the servo. Raises as the servo does."""
         low, high = limits.position
         self._servo.arm(replace(limits, position=(low + self._zero, high + self._zero)))
 
     def exchange(self, command: Command) -> Sample:
-        """One round trip with the servo, then the sensor's newest reading.
+        """Exchange a command and a sample with the servo, and add the joint sensor's newest reading to the sample.
 
-        Raises as the servo does, LinkLost if the sensor is gone, NoReply if it has been silent for `SILENCE`.
+        Raises as the servo does, LinkLost if the connection to the sensor is lost, NoReply if the sensor has been
+        silent for longer than `SILENCE` s.
         """
         if command.quantity is Quantity.POSITION:
             command = replace(command, value=command.value + self._zero)
@@ -71,11 +75,11 @@ class StandServo:
         return replace(sample, motor_position=sample.motor_position - self._zero, joint_torque=torque, t_joint=t_joint)
 
     def disarm(self) -> None:
-        """Torque off; raises as the servo does."""
+        """Switch the torque off. Raises as the servo does."""
         self._servo.disarm()
 
     def close(self) -> None:
-        """Torque off, then close both links. Harmless when already closed."""
+        """Switch the torque off, then close both links. Harmless if they are closed already."""
         try:
             self._servo.close()
         finally:

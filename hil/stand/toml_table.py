@@ -1,4 +1,4 @@
-"""A TOML file that a person writes, as a checked table: every error of it with its line and key."""
+"""Read a TOML file that a person writes as a checked table; every error is reported with its line and key."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.recording.input import read_text
 
 _LARGEST = 1 << 20  # bytes
 LISTED = 20
-"""Errors of a file that are listed."""
+"""The largest number of errors that a message lists."""
 _LONGEST = 220  # characters of one
 _HEADER = re.compile(r"\s*(\[\[?)\s*([^\]]+?)\s*\]\]?\s*(#.*)?$")
 
@@ -24,9 +24,10 @@ Table = TypeVar("Table", bound=BaseModel)
 
 
 def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]) -> Table:
-    """Return the table in a TOML file. Raises WrongUse with every error of it.
+    """Return the table of class `kind` in a TOML file. Raises WrongUse with all errors of the file.
 
-    message: makes a line of the text of the file and one of a ValidationError's errors.
+    message: function that makes one line of the message from the text of the file and an entry of a ValidationError's
+    `errors()`.
     """
     text = read_text(path, largest=_LARGEST)
     try:
@@ -45,9 +46,10 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
 
 
 def errors_in(name: object, lines: list[str], count: int) -> WrongUse:
-    """Return the error of a file that has `count` errors. lines: the first `LISTED`, each a sentence with its place.
+    """Return the WrongUse for a file that has `count` errors.
 
-    Not more of them: the place of each is looked for in the whole text, which may have a hundred thousand.
+    lines: the first `LISTED` errors, each a sentence with its line. Not more, because the line of each error is
+    searched in the whole file, which may have a hundred thousand errors.
     """
     cut = [line if len(line) <= _LONGEST else f"{line[:_LONGEST]}..." for line in lines]
     more = [f"and {count - len(lines)} more"] if count > len(lines) else []
@@ -55,7 +57,9 @@ def errors_in(name: object, lines: list[str], count: int) -> WrongUse:
 
 
 def line_of(text: str, place: list[Any]) -> int:
-    """Return the line, from 1, of a key in TOML, such as ["joint", 2, "stand"]; its table's where it is not there."""
+    """Return the line number, from 1, of a key in TOML. place: the path of the key, such as ["joint", 2, "stand"]. If
+    the key is missing, return the line of its table.
+    """
     names = [str(part) for part in place if isinstance(part, str)]
     number = next((part for part in place if isinstance(part, int)), 0)
     counts: dict[str, int] = {}

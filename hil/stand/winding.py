@@ -1,7 +1,7 @@
-"""[winding] of the stand file: what heats and cools the motor's winding while its rotor is locked, and its temperature.
+"""[winding] of the stand file: a model of the winding's temperature while the rotor is locked.
 
-A locked rotor turns all its electric power into heat: P = R i^2 in the winding, which gives it to the case, which gives
-it to the air. Two heat capacities, two thermal resistances, as a data sheet states them:
+A locked rotor turns all its electric power into heat: P = R i^2. The heat flows from the winding to the case, and from
+the case to the air. The model has two heat capacities and two thermal resistances, as data sheets state them:
 
     C1 dT1/dt = P - (T1 - T2)/R1        C2 dT2/dt = (T1 - T2)/R1 - (T2 - Ta)/R2
 
@@ -33,12 +33,12 @@ _SINK = (1e-6, 1e9)  # K/W, J/K of a case that stays at the air's temperature
 
 
 class WindingTable(BaseModel):
-    """[winding]: either the data sheet's six numbers or two measured points. Everything is at the motor shaft.
+    """[winding]: either the data sheet's six numbers or two measured points. All torques are at the motor shaft.
 
-    torque_constant: N m/A. resistance: ohm at 20 degC. thermal_resistance: K/W, winding to case. time_constant: s, of
-    the winding. case_thermal_resistance: K/W, case to air. case_time_constant: s, of the motor.
-    continuous_torque: N m that brings the winding to limits.temperature after a long time. peak_torque: N m, and
-    peak_time: s after which it brings a cold winding there. air: degC.
+    torque_constant: N m/A. resistance: ohm at 20 degC. thermal_resistance: from winding to case, K/W. time_constant: of
+    the winding, s. case_thermal_resistance: from case to air, K/W. case_time_constant: of the motor, s.
+    continuous_torque: torque, N m, that heats the winding to limits.temperature after a long time. peak_torque: torque,
+    N m, that heats a cold winding to limits.temperature in peak_time. peak_time: s. air: temperature of the air, degC.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -69,7 +69,7 @@ class WindingTable(BaseModel):
         return self
 
     def model(self, limit: float) -> WindingModel:
-        """Return the model. limit: degC, of the winding, to which the two measured points refer."""
+        """Return the thermal model. limit: the temperature of the winding, degC, that both measured points reach."""
         if self.continuous_torque is not None and self.peak_torque is not None and self.peak_time is not None:
             share = (self.continuous_torque / self.peak_torque) ** 2
             tau = -self.peak_time / math.log1p(-share)
@@ -88,7 +88,11 @@ class Temperatures(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WindingModel:
-    """The two heat capacities. heat: W/(N m)^2 at 20 degC. copper: 1/K. winding, case: K/W and J/K. air: degC."""
+    """The thermal model with two heat capacities: winding and case.
+
+    heat: power for a square torque of 1 (N m)^2 at 20 degC, W/(N m)^2. copper: relative growth of the resistance, 1/K.
+    winding, case: thermal resistance, K/W, and heat capacity, J/K, of each. air: degC.
+    """
 
     heat: float
     copper: float
@@ -98,14 +102,14 @@ class WindingModel:
 
     @property
     def cold(self) -> Temperatures:
-        """The temperatures after a long rest."""
+        """The temperatures after a long rest: those of the air."""
         return Temperatures(self.air, self.air)
 
     def after(self, state: Temperatures, square: float, seconds: float) -> Temperatures:
-        """Return the temperatures `seconds` s later under a mean square torque of `square` (N m)^2.
+        """Return the temperatures `seconds` s after `state`, under a mean square torque of `square` (N m)^2.
 
-        Exact for constant power, which is that of the resistance at the beginning: keep the steps below a tenth of the
-        winding's time constant while the torque is on.
+        The solution is exact for constant power. The power is computed with the resistance at the beginning: keep
+        `seconds` below a tenth of the winding's time constant while the torque is on.
         """
         (r1, c1), (r2, c2) = self.winding, self.case
         power = self.heat * square * (1.0 + self.copper * (state.winding - _REFERENCE))

@@ -145,8 +145,8 @@ def _propagated(
 def _refuse_soft(measured: Element, fixture: Element) -> None:
     if not measured.stiffness > 0.0:
         raise Untrustworthy(
-            f"Kc of joint and fixture together is {measured.stiffness:.4g} N m/rad, so that of the joint alone cannot "
-            "be identified. Find out why without --fixture"
+            f"Kc of joint and fixture together is {measured.stiffness:.4g} N m/rad, not above zero, so Kc of the joint "
+            "alone cannot be identified. Run hil identify again without --fixture, and follow its warnings and errors"
         )
     if 2.0 * measured.stiffness < fixture.stiffness:  # 1/K_fixture is less than half of 1/K_measured
         return
