@@ -1,1 +1,1 @@
-"""The simulated stand: a plant in continuous time and a servo with imperfect sensors around it."""
+"""The simulated stand: a plant in continuous time, and around it a servo with imperfect sensors."""

@@ -1,7 +1,8 @@
-"""The drive's firmware: sampled, with its own loop, its own limits and its own faults.
+"""The firmware of the simulated drive: a control loop at a fixed rate, with limits and faults of its own.
 
-It runs at `drive.loop_rate`. On each beat it takes the set-point over, closes the position loop on the encoder's
-counts, and turns the torque off by itself where velocity or temperature is too high or no set-point arrives any more.
+The firmware runs at `drive.loop_rate`. In each period it accepts a new set-point, closes the position loop on the
+encoder's counts, and turns the torque off by itself if the velocity or the temperature is too high or no set-point
+arrives any more.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class FaultCode(IntEnum):
-    """The faults the drive latches by itself."""
+    """The faults that the simulated drive latches by itself."""
 
     OVER_VELOCITY = 1
     OVER_TEMPERATURE = 2
@@ -65,9 +66,10 @@ REMEDY = {
 
 @compiled_no_refcount
 def run(memory: Vector, path: Path, constants: Packed, until: float) -> int:
-    """Carry plant and firmware to `until`, s, or to a beat that finds a fault; return its code, 0 for none.
+    """Simulate plant and firmware up to `until`, s, or up to the first fault. Return the code of the fault, 0 if there
+    is none.
 
-    memory: the firmware's, (PLACES,).
+    memory: the firmware's variables, (PLACES,). path: state and past of the plant. constants: constants of the plant.
     """
     while True:
         end, beat = until, math.inf
@@ -85,7 +87,9 @@ def run(memory: Vector, path: Path, constants: Packed, until: float) -> int:
 
 @compiled_within
 def _beat(path: Path, memory: Vector, now: float) -> int:
-    """Take the set-point over that has arrived, look for faults, then regulate; return the code of a fault or 0."""
+    """Run the firmware once: accept the set-point that has arrived, check for faults, then set the torque. Return the
+    code of a fault or 0.
+    """
     if memory[NEXT_AT] < now:
         if memory[NEXT_POSITION] != 0.0 and memory[POSITION_MODE] == 0.0:
             memory[INTEGRAL] = 0.0
@@ -105,7 +109,7 @@ def _beat(path: Path, memory: Vector, now: float) -> int:
 
 @compiled_within
 def _regulate(path: Path, memory: Vector) -> None:
-    """Set the torque demand, N m, for the beat that begins now."""
+    """Set the torque demand, N m, until the next run of the firmware."""
     ceiling = memory[MAX_TORQUE]
     wanted = memory[SETPOINT]
     if memory[POSITION_MODE] != 0.0:
@@ -123,14 +127,15 @@ def _regulate(path: Path, memory: Vector) -> None:
 
 
 def _numbers(array: Vector) -> memoryview[float]:
-    """Return the numbers of an array, of which one is read in a third of the array's time."""
+    """Return a view of an array from which one number is read in a third of the time."""
     return cast("memoryview[float]", array.data)
 
 
 class Drive:
-    """A drive on the plant, commanded without a link. Times are in s since it was switched on.
+    """The simulated drive with the plant, commanded without a link. Times are s since the drive was switched on.
 
-    watchdog: s of silence after which it turns its torque off. memory: the firmware's numbers, (PLACES,).
+    watchdog: s without a set-point after which the drive turns its torque off. memory: the firmware's variables,
+    (PLACES,).
     """
 
     def __init__(self, parameters: SimParameters, *, watchdog: float) -> None:
@@ -152,36 +157,36 @@ class Drive:
 
     @property
     def time(self) -> float:
-        """The time that plant and firmware have been carried to, s."""
+        """The time up to which plant and firmware are simulated, s."""
         return self._clock[TIME]
 
     @property
     def enabled(self) -> bool:
-        """Whether current can flow."""
+        """Return whether current can flow."""
         return self._memory[ENABLED] != 0.0
 
     @property
     def fault(self) -> int:
-        """The latched fault, 0 where there is none."""
+        """The code of the latched fault, 0 if there is none."""
         return int(self._memory[FAULT])
 
     @property
     def demand(self) -> float:
-        """The motor torque the current loop is asked for now, N m."""
+        """The motor torque that is demanded of the current loop now, N m."""
         return self._memory[DEMAND]
 
     @property
     def coupling_torque(self) -> float:
-        """sigma_c now, N m."""
+        """The torque in the coupling now, sigma_c, N m."""
         return float(coupling_torque(self.path[STATE], self._packed))
 
     def run(self, until: float) -> None:
-        """Carry plant and firmware to `until`; nothing happens where that is past."""
+        """Simulate plant and firmware up to `until`, s. Has no effect if this time has passed."""
         while fault := run(self.memory, self.path, self._packed, until):
             self._trip(fault)
 
     def enable(self, limits: Limits) -> None:
-        """Set the limits and let current flow, at zero torque; the watchdog starts now."""
+        """Set the limits and switch the output stage on at zero torque. The watchdog starts now."""
         memory = self._memory
         self._trip(0)
         memory[MAX_TORQUE] = min(limits.torque, self._ceiling)
@@ -192,7 +197,7 @@ class Drive:
         memory[ENABLED] = 1.0
 
     def _trip(self, code: int) -> None:
-        """Open the output stage, so that no current flows, and latch `code` (0: none)."""
+        """Switch the output stage off, so that no current flows, and latch the fault `code` (0: no fault)."""
         memory = self._memory
         for place in (ENABLED, DEMAND, SETPOINT, POSITION_MODE, INTEGRAL):
             memory[place] = 0.0
@@ -201,19 +206,21 @@ class Drive:
         memory[FAULT] = memory[FAULT] or code
 
     def disable(self) -> None:
-        """No current from now on."""
+        """Switch the output stage off, so that no current flows."""
         self._trip(0)
 
     def latch(self, code: int) -> None:
-        """Latch a fault from outside and open the output stage."""
+        """Latch the fault `code`, which a test or a fault plan causes, and switch the output stage off."""
         self._trip(code)
 
     def feed(self) -> None:
-        """Tell the watchdog that the host is alive."""
+        """Reset the watchdog: the host is alive."""
         self._memory[FED] = self._clock[TIME]
 
     def follow(self, command: Command, at: float) -> None:
-        """Take a set-point over at the first beat after `at`; it has no effect while disabled."""
+        """Make the firmware accept the set-point `command` in its first period after `at`, s. Has no effect while the
+        drive is disabled.
+        """
         memory = self._memory
         if memory[NEXT_AT] != math.inf:
             self.run(at)  # the one before is taken over in time
@@ -223,17 +230,17 @@ class Drive:
             memory[NEXT_AT] = at
 
     def take_saturated(self) -> bool:
-        """Whether the torque limit has acted since this was last asked."""
+        """Return whether the torque limit has acted since the last call."""
         acted = self._memory[SATURATED] != 0.0
         self._memory[SATURATED] = 0.0
         return acted
 
     def freeze_encoder(self) -> None:
-        """From now on the motor encoder repeats its count."""
+        """Make the motor encoder repeat its present count from now on."""
         memory = self._memory
         memory[FROZEN] = math.floor(self.path[STATE, MOTOR] / memory[LSB] + 0.5) * memory[LSB]
 
     @property
     def frozen(self) -> float:
-        """The angle that a frozen motor encoder repeats, rad; NaN while it works."""
+        """The angle that a frozen motor encoder repeats, rad; NaN if the encoder is not frozen."""
         return self._memory[FROZEN]

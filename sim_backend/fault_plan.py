@@ -1,4 +1,4 @@
-"""A plan of faults, for the simulated servo and for the emulated drives: what happens, and at which time or frame."""
+"""A plan of faults for the simulated servo and the emulated drives: which faults happen, and at which time or frame."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import numpy as np
 
 
 class Kind(NamedTuple):
-    """A kind of fault: what happens, and the meaning, default and range of `size` ("": it has none).
+    """A kind of fault. explanation: what happens. size: meaning and unit of the fault's size, "" if the fault has no
+    size.
 
-    whole: whether the size is a whole number. lasting: whether it goes on for good where the plan gives no duration;
-    otherwise it happens to `count` frames.
+    default, lowest, highest: default and range of the size. whole: whether the size is a whole number. lasting: whether
+    the fault never ends if the plan states no duration; otherwise it happens to `count` frames.
     """
 
     explanation: str
@@ -27,7 +28,7 @@ class Kind(NamedTuple):
     lasting: bool = False
 
     def check(self, size: float) -> None:
-        """Raise ValueError where `size` cannot be one of this kind; NaN, for the default, always can."""
+        """Raise ValueError if `size` is not allowed for this kind. NaN, which means the default, is always allowed."""
         if math.isnan(size):
             return
         if not self.size:
@@ -38,7 +39,7 @@ class Kind(NamedTuple):
 
 
 _BYTES = (1, 1_000_000, True)
-"""The range of a number of bytes, which is whole."""
+"""Lowest and highest number of bytes, and that the number is whole."""
 
 LINK: Mapping[str, Kind] = MappingProxyType(
     {
@@ -56,7 +57,7 @@ LINK: Mapping[str, Kind] = MappingProxyType(
         "bus-off": Kind("the CAN controller of the host leaves the bus", lasting=True),
     }
 )
-"""What happens on the way between the host and the drive."""
+"""The kinds of faults on the way between the host and the drive."""
 DRIVE: Mapping[str, Kind] = MappingProxyType(
     {
         "stuck-encoder": Kind("the motor's angle stays the same", lasting=True),
@@ -70,7 +71,7 @@ DRIVE: Mapping[str, Kind] = MappingProxyType(
         "broken-watchdog": Kind("the drive's watchdog never acts, whatever it reports", lasting=True),
     }
 )
-"""What happens in the drive."""
+"""The kinds of faults in the drive."""
 HOST: Mapping[str, Kind] = MappingProxyType(
     {
         "kill": Kind("the process is killed (SIGKILL)"),
@@ -78,17 +79,18 @@ HOST: Mapping[str, Kind] = MappingProxyType(
         "disk-frozen": Kind("the disk does not answer any more, with --realtime", lasting=True),
     }
 )
-"""What happens in the computer that records, or emulates."""
+"""The kinds of faults in the computer that records, or that runs the emulator."""
 KINDS: Mapping[str, Kind] = MappingProxyType({**LINK, **DRIVE, **HOST})
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedFault:
-    """A fault of `KINDS` and when it happens: one of the first three, of which the others are NaN, 0 and 0.
+    """A fault of a kind in `KINDS`, and when it happens: exactly one of `at`, `frame` and `probability` is set.
 
-    at: s since the servo was opened or the drive powered. frame: number of the reply, from 1. probability: of each
-    reply. duration: s from `at`; NaN: for good where the kind lasts, else for `count` frames. size: see the kind; NaN:
-    its default. Raises ValueError for a size that the kind cannot have.
+    at: s since the servo was opened or the drive was powered; NaN if not set. frame: number of the reply, from 1; 0 if
+    not set. probability: probability that a reply has the fault; 0 if not set. duration: s from `at`; NaN: without end
+    for a lasting kind, else for `count` frames. size: see the kind; NaN: the kind's default. Raises ValueError for a
+    size that the kind does not allow.
     """
 
     kind: str
@@ -104,12 +106,14 @@ class PlannedFault:
 
     @property
     def amount(self) -> float:
-        """The size, by default that of the kind."""
+        """The size of the fault; the kind's default if the plan states none."""
         return KINDS[self.kind].default if math.isnan(self.size) else self.size
 
 
 class FaultPlan:
-    """Faults of a run; the same seed gives the same faults. Each part of a stand asks for those of its own kinds."""
+    """The faults of a run. The same seed gives the same faults. The link, the drive and the host each query the faults
+    of their own kinds.
+    """
 
     def __init__(self, faults: Sequence[PlannedFault] = (), seed: int = 0) -> None:
         self._faults = tuple(faults)
@@ -117,11 +121,11 @@ class FaultPlan:
         self._began: dict[int, int] = {}
 
     def kinds(self) -> frozenset[str]:
-        """Return the kinds that occur."""
+        """Return the kinds of all faults in the plan."""
         return frozenset(fault.kind for fault in self._faults)
 
     def acting(self, kinds: Collection[str], t: float, number: int) -> list[PlannedFault]:
-        """Return the faults of `kinds` that act on frame `number`, counted from 1, at `t` s."""
+        """Return the faults of `kinds` that act on the frame `number`, counted from 1, at the time `t`, s."""
         return [
             fault
             for place, fault in enumerate(self._faults)
@@ -129,7 +133,7 @@ class FaultPlan:
         ]
 
     def random(self, number: int) -> np.random.Generator:
-        """Return the generator of what is random in frame `number`."""
+        """Return the random generator for the frame `number`, which is the same in every run with the same seed."""
         return np.random.default_rng([self._seed, len(self._faults), number])
 
     def _acts(self, place: int, fault: PlannedFault, t: float, number: int) -> bool:

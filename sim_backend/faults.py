@@ -1,4 +1,6 @@
-"""Faults of the simulated servo, scheduled in time: a plan is a tuple of these. Times are s since it was opened."""
+"""Faults of the simulated servo at planned times. A plan is a tuple of these objects. Times are s since the servo was
+opened.
+"""
 
 from __future__ import annotations
 
@@ -8,34 +10,36 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class _Moment:
-    """A fault that begins at `at` and stays."""
+    """Base class of a fault that begins at `at` and never ends."""
 
     at: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Interval:
-    """A fault from `start` to `end`."""
+    """Base class of a fault that lasts from `start` to `end`."""
 
     start: float
     end: float
 
 
 class LinkDrops(_Moment):
-    """The link is gone from `at` on, for every call. The drive is left to its watchdog."""
+    """Fault: the link is gone from `at` on, and every call raises LinkLost. Only the drive's watchdog can switch the
+    torque off.
+    """
 
 
 class Silence(_Interval):
-    """From `start` to `end` no set-point reaches the drive and no reply comes back."""
+    """Fault: from `start` to `end` no set-point reaches the drive and no reply arrives."""
 
 
 class CorruptReplies(_Interval):
-    """Replies from `start` to `end` fail their checksum; set-points still arrive."""
+    """Fault: replies from `start` to `end` fail their checksum. Set-points still reach the drive."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultLatches(_Moment):
-    """The drive latches `code` at `at` and turns its torque off."""
+    """Fault: at the time `at` the drive latches `code` and turns its torque off."""
 
     code: int
 
@@ -45,20 +49,22 @@ class FaultLatches(_Moment):
 
 
 class EncoderFreezes(_Moment):
-    """The motor encoder repeats its count from `at` on, and neither drive nor status shows it."""
+    """Fault: from `at` on the motor encoder repeats its count. Neither the drive nor the status of the samples reports
+    this.
+    """
 
 
 class TorqueUnreadable(_Interval):
-    """Both torque readings are NaN from `start` to `end`."""
+    """Fault: both torque readings are NaN from `start` to `end`."""
 
 
 class RepliesRepeat(_Interval):
-    """From `start` to `end` the drive answers with what it last read, its clock included; set-points still act."""
+    """Fault: from `start` to `end` the drive repeats its last reply, including its clock. Set-points still act."""
 
 
 @dataclass(frozen=True, slots=True)
 class WatchdogBroken:
-    """The drive's watchdog never acts, although it is announced."""
+    """Fault: the drive's watchdog never acts, although `ServoInfo` states one."""
 
 
 Fault = (
@@ -74,16 +80,16 @@ Fault = (
 
 
 def within(plan: tuple[Fault, ...], kind: type[_Interval], t: float) -> bool:
-    """Whether an interval of this kind holds at `t`, s; its end does not belong to it."""
+    """Return whether a fault of the class `kind` is active at `t`, s. At its `end` a fault is no longer active."""
     return bool(plan) and any(isinstance(fault, kind) and fault.start <= t < fault.end for fault in plan)
 
 
 def link_ends(plan: tuple[Fault, ...]) -> float:
-    """Return the time from which the link is gone, s; infinity where it stays."""
+    """Return the time from which the link is gone, s; infinity if the plan has no such fault."""
     return min((fault.at for fault in plan if isinstance(fault, LinkDrops)), default=math.inf)
 
 
 def device_faults(plan: tuple[Fault, ...]) -> list[FaultLatches | EncoderFreezes]:
-    """Return the faults inside the drive, in order of time."""
+    """Return the faults inside the drive, ordered by time."""
     inside = [fault for fault in plan if isinstance(fault, FaultLatches | EncoderFreezes)]
     return sorted(inside, key=lambda fault: fault.at)

@@ -1,4 +1,4 @@
-"""A servo with the faults of a plan, as its adapter would show them to the recorder."""
+"""A servo with planned faults, which the recorder sees as if they came from the servo's driver."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _GONE = frozenset({"unplug", "bus-off"})
 
 
 class FaultyServo:
-    """`servo` under `plan`, whose times are s since this was made.
+    """The servo `servo` with the faults of `plan`, whose times are s since this object was made.
 
-    on_host: is called with each fault of the computer, once.
+    on_host: a function that is called once with each fault of the computer.
     """
 
     def __init__(self, servo: Servo, plan: FaultPlan, on_host: Callable[[PlannedFault], object]) -> None:
@@ -69,7 +69,9 @@ class FaultyServo:
             self._servo.disarm()
 
     def close(self) -> None:
-        """See `Servo`. A drive that is out of reach, or ignores it, is left to its watchdog."""
+        """See `Servo`. If a fault keeps torque-off from the drive, only the drive's watchdog can switch the torque
+        off.
+        """
         if not self._acting(("ignored-off", *_GONE)):
             self._servo.close()
 
@@ -77,7 +79,9 @@ class FaultyServo:
         return self._plan.acting(kinds, self.clock.now() - self._opened, self._number)
 
     def _pass_link(self) -> dict[str, PlannedFault]:
-        """Count a request; return what happens to its reply. Raises what the host sees where it does not arrive."""
+        """Count a request. Return the faults of its reply by kind. Raises the error that the host sees if the request
+        or the reply does not arrive.
+        """
         self._number += 1
         acting = {fault.kind: fault for fault in self._acting(LINK)}
         if acting.keys() & _GONE:
@@ -91,7 +95,7 @@ class FaultyServo:
         raise NoReply(f"no reply within {_TIMEOUT * 1e3:g} ms")
 
     def _arrived(self, sample: Sample, link: dict[str, PlannedFault]) -> Sample:
-        """Return the sample as the host receives it."""
+        """Return the sample as it arrives at the host under the link faults `link`."""
         last, self._last = self._last, sample
         if "drop" in link:
             self._time_out()
@@ -107,7 +111,7 @@ class FaultyServo:
         return sample
 
     def _measured(self, sample: Sample, drive: dict[str, PlannedFault]) -> Sample:
-        """Return the sample as the drive measures it."""
+        """Return the sample as the drive measures it under the drive faults `drive`."""
         angle = sample.motor_position
         if "stuck-encoder" in drive:
             self._stuck = angle if math.isnan(self._stuck) else self._stuck

@@ -1,8 +1,8 @@
-"""Carries the plant through time with an error bound, and remembers its recent past.
+"""Integrate the plant's equations over time with a bounded error, and store the recent past.
 
-Dormand and Prince's pair of orders 5 and 4 (J. Comput. Appl. Math. 6, 1980, table 2) with step-size control. A jump
-of the torque, where backlash or a slack tendon makes contact, is found by the control itself: steps shrink until
-the error of the one that straddles it is within the tolerance.
+The method is Dormand and Prince's pair of orders 5 and 4 (J. Comput. Appl. Math. 6, 1980, table 2) with step-size
+control. The torque jumps where backlash or a slack tendon makes contact. The step-size control handles this without a
+special case: steps shrink until the error of the step that contains the jump is within the tolerance.
 """
 
 from __future__ import annotations
@@ -14,35 +14,40 @@ from ga.compiled import compiled_no_refcount, compiled_within
 from sim_backend.plant import STATES, Constants, Packed, Vector, at_rest, derivatives
 
 Path = NDArray[np.float64]
-"""The plant's state now, its recent past and working space, (PAST + REMEMBERED, WIDTH), changed in place.
+"""The plant's present state, its recent past and working space: an array (PAST + REMEMBERED, WIDTH) that is changed in
+place.
 
-One matrix, because a compiled function takes one over in the twentieth of the time that eight arrays need.
+One array is used because a compiled function accepts one array in a twentieth of the time of eight arrays.
 """
 
 RELATIVE = 1e-8
 ABSOLUTE = np.array([1e-10, 1e-9, 1e-7, 1e-12, 1e-9, 1e-11, 1e-8, 1e-6, 1e-6, 1e-10, 1e-6])
-"""Error allowed in one step, in the units of the plant's state: small against 1 % of the paper's joint at work."""
+"""Absolute error allowed in one step, for each component of the plant's state: small against 1 % of the values at which
+the paper's joint works.
+"""
 LONGEST = 0.01
 SHORTEST = 1e-12
 _STRETCH = 1.1
-"""By how much the last step may be longer than proposed: the rest, if shorter, would cost a step of its own."""
+"""Factor by which the last step may be longer than proposed. A short remainder would need a step of its own."""
 REMEMBERED = 4096
-"""Steps kept for a sensor that shows an earlier instant."""
+"""Number of past steps that are stored for sensors with a delay."""
 
 # The rows of a path.
 CLOCK, STATE, TRIAL, SLOPES = range(4)
-"""Clock; state now; state at the end of the step that is tried; from SLOPES on the slopes of the seven stages."""
+"""Rows of a `Path`: clock; present state; state at the end of the step that is tried; from SLOPES on, the slopes of the
+seven stages.
+"""
 PAST = SLOPES + 7
-"""From here on a ring of past steps: time, s; the state; its slope."""
+"""First row of the ring buffer of past steps. A row holds time, s, state and slope."""
 WIDTH = 1 + 2 * STATES
 
 # The places of the clock.
 TIME, STEP, WRITTEN = range(3)
-"""Time now, s; the next step to try, s; steps ever written into the ring."""
+"""Columns of the clock: time now, s; length of the next step, s; number of steps written to the ring buffer so far."""
 
 
 def start(c: Constants) -> Path:
-    """Return a path that begins at rest at time zero."""
+    """Return a path that starts at time zero with the plant at rest. c: constants of the plant."""
     path = np.zeros((PAST + REMEMBERED, WIDTH))
     path[CLOCK, STEP], path[CLOCK, WRITTEN] = 1e-5, 1.0
     path[STATE, :STATES] = path[PAST, 1 : 1 + STATES] = at_rest(c)
@@ -51,9 +56,9 @@ def start(c: Constants) -> Path:
 
 @compiled_no_refcount
 def integrate(path: Path, demand: float, until: float, constants: Packed) -> None:
-    """Carry the path to `until`, s, while the current loop is asked for the motor torque `demand`, N m.
+    """Integrate the path up to `until`, s, while the motor torque `demand`, N m, is demanded of the current loop.
 
-    Nothing happens where `until` is not later than now.
+    Has no effect if this time has passed.
     """
     clock, state, trial = path[CLOCK], path[STATE], path[TRIAL]
     a, b, c, d, e = path[SLOPES], path[SLOPES + 1], path[SLOPES + 2], path[SLOPES + 3], path[SLOPES + 4]
@@ -85,7 +90,7 @@ def integrate(path: Path, demand: float, until: float, constants: Packed) -> Non
 
 @compiled_within
 def _remember(path: Path, clock: Vector, state: Vector, slope: Vector) -> None:
-    """Write time, state and slope into the ring."""
+    """Write time, state and slope to the ring buffer."""
     entry = path[PAST + int(clock[WRITTEN]) % REMEMBERED]
     entry[0] = clock[TIME]
     for i in range(STATES):
@@ -98,9 +103,11 @@ def _remember(path: Path, clock: Vector, state: Vector, slope: Vector) -> None:
 def _combine(  # noqa: PLR0917 - compiled functions take their parts by position
     stage: int, h: float, y: Vector, a: Vector, b: Vector, c: Vector, d: Vector, e: Vector, f: Vector, x: Vector
 ) -> None:
-    """Set x to the state at which a stage of a step of `h` s from y takes its slope; of the last, to the solution.
+    """Set x to the state at which the stage `stage` of a step from y evaluates its slope; for the last stage this is
+    the solution.
 
-    a to f: the slopes of the stages. Written out, because a loop over the table of coefficients costs twice the time.
+    h: length of the step, s. a to f: the slopes of the earlier stages. The sums are written out, because a loop over
+    the table of coefficients takes twice the time.
     """
     for i in range(STATES):
         if stage == 0:
@@ -126,7 +133,11 @@ def _combine(  # noqa: PLR0917 - compiled functions take their parts by position
 def _error_over_tolerance(  # noqa: PLR0917 - compiled functions take their parts by position
     h: float, y: Vector, a: Vector, c: Vector, d: Vector, e: Vector, f: Vector, g: Vector, x: Vector
 ) -> float:
-    """Return the largest error of a step of `h` s from y to x over what is allowed, by the slopes of the stages."""
+    """Return the largest ratio of estimated error to tolerance over the components of the state, for a step from y to
+    x.
+
+    h: length of the step, s. a to g: the slopes of the stages (b is not needed).
+    """
     worst = 0.0
     for i in range(STATES):
         error = 71.0 / 57600.0 * a[i] - 71.0 / 16695.0 * c[i] + 71.0 / 1920.0 * d[i]
@@ -139,9 +150,9 @@ def _error_over_tolerance(  # noqa: PLR0917 - compiled functions take their part
 
 @compiled_within
 def recall(path: Path, t: float, out: Vector) -> bool:
-    """Write the state at the earlier time `t`, s, into `out`, (STATES,); cubic between the steps remembered.
+    """Write the state at the earlier time `t`, s, into `out`, (STATES,), by cubic interpolation between stored steps.
 
-    Before the beginning it was at rest. False where `t` lies further back than is remembered.
+    For a time before the start, the state is the state at rest. Returns False if `t` is older than the stored steps.
     """
     newest = int(path[CLOCK, WRITTEN]) - 1
     oldest = newest + 1 - REMEMBERED if newest >= REMEMBERED else 0

@@ -1,8 +1,8 @@
 """The `[sim]` table of stand.toml: every parameter of the simulated stand, with its unit and its default.
 
-Plain frozen dataclasses: the bounds stand in the annotations for whoever validates a file (pydantic reads them), and
-what no single bound can say is checked in `__post_init__`, with the key in the message. Joint-side quantities carry
-the paper's names for them; motor-side ones say so.
+The tables are plain frozen dataclasses. The bounds of single values are in the annotations, from which pydantic
+validates a file. Conditions on several values are checked in `__post_init__`, with the key in the message. Joint-side
+quantities have the paper's names; the names of motor-side quantities say so.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MOTOR_DAMPING = 1e-7
 
 @dataclass(frozen=True, slots=True)
 class MotorParameters:
-    """The motor and its winding; the first three are `None` where the stand's own values hold."""
+    """The motor and its winding. The first three values are `None` if the values of [stand] are to be used."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -42,20 +42,20 @@ class MotorParameters:
     winding_resistance: Annotated[Positive, Unit("ohm")] = 8.7
     """Ohm; it does not change with temperature."""
     winding_heat_capacity: Annotated[Positive, Unit("J/K")] = 1.4
-    """J/K."""
+    """J/K, of the winding."""
     winding_thermal_resistance: Annotated[Positive, Unit("K/W")] = 5.0
-    """K/W, winding to housing."""
+    """K/W, from winding to housing."""
     housing_heat_capacity: Annotated[Positive, Unit("J/K")] = 22.0
-    """J/K."""
+    """J/K, of the housing."""
     housing_thermal_resistance: Annotated[Positive, Unit("K/W")] = 20.0
-    """K/W, housing to ambient."""
+    """K/W, from housing to ambient."""
     ambient_temperature: Annotated[float, Ge(-50), Le(100), Unit("degC")] = 23.0
-    """degC; winding and housing begin at it."""
+    """degC; winding and housing start at this temperature."""
 
 
 @dataclass(frozen=True, slots=True)
 class CouplingParameters:
-    """The cable between motor and joint, all at the joint side; a zero switches an element off."""
+    """The cable between motor and joint. All values are at the joint side; a value of zero switches the element off."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -64,11 +64,11 @@ class CouplingParameters:
     damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 0.19e-3
     """Bc, N m s/rad."""
     cubic: Annotated[NotNegative, Unit("N*m/rad^3")] = 0.0
-    """K3, N m/rad^3: how the cable stiffens as it is drawn."""
+    """K3, N m/rad^3: cubic stiffness, by which the cable stiffens with deflection."""
     coulomb_friction: Annotated[NotNegative, Unit("N*m")] = 2e-5
     """Fc, N m: friction of the sheath while sliding (LuGre model); 0: no dry friction at all."""
     static_friction_ratio: Annotated[float, Ge(1), Le(5)] = 1.25
-    """Friction at rest over `coulomb_friction`."""
+    """Friction torque at rest divided by `coulomb_friction`."""
     stribeck_velocity: Annotated[Positive, Unit("rad/s")] = 0.05
     """rad/s of deflection rate at which the friction falls from static to Coulomb."""
     bristle_stiffness: Annotated[Positive, Unit("N*m/rad")] = 0.02
@@ -76,15 +76,17 @@ class CouplingParameters:
     bristle_damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 1e-5
     """N m s/rad: damping of the friction before it slides."""
     gap: Annotated[NotNegative, Unit("rad")] = 0.0
-    """rad of deflection, the whole width: backlash."""
+    """rad of deflection: full width of the backlash."""
     slack: Annotated[NotNegative, Unit("rad")] = 0.0
-    """rad of deflection before a single tendon pulls, which then pulls one way only; 0: a pretensioned pair."""
+    """rad of deflection before a single tendon begins to pull (it pulls in one direction only); 0: a pretensioned
+    pair.
+    """
     hysteresis_torque: Annotated[NotNegative, Unit("N*m")] = 0.0
-    """N m: what the Bouc-Wen element carries once it has yielded."""
+    """N m: torque of the Bouc-Wen element once it has yielded."""
     hysteresis_yield: Annotated[Positive, Unit("rad")] = 0.02
-    """rad: `hysteresis_torque` over the element's initial stiffness."""
+    """rad: `hysteresis_torque` divided by the element's initial stiffness."""
     hysteresis_exponent: Annotated[float, Ge(1), Le(10)] = 1.0
-    """How sharply the element yields."""
+    """How sharply the Bouc-Wen element yields."""
 
     def __post_init__(self) -> None:
         if self.gap > 0.0 and self.slack > 0.0:
@@ -99,14 +101,14 @@ class CouplingParameters:
 
 @dataclass(frozen=True, slots=True)
 class FixtureParameters:
-    """The fixture that locks the joint; its stiffness is finite."""
+    """The fixture that locks the joint, with a finite stiffness."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     stiffness: Annotated[Positive, Unit("N*m/rad")] = 20.0
-    """N m/rad, joint to ground."""
+    """N m/rad, from joint to ground."""
     damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 2e-3
-    """N m s/rad, joint to ground."""
+    """N m s/rad, from joint to ground."""
     inertia: Annotated[Positive, Unit("kg*m^2")] = 5e-6
     """kg m^2 of the locked joint."""
 
@@ -118,26 +120,26 @@ class DriveParameters:
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     current_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 1000.0
-    """Hz, first order, of the current loop."""
+    """Hz, bandwidth of the current loop, first order."""
     torque_limit: Annotated[Positive, Unit("N*m")] = 5e-3
-    """N m that the drive can make at most, whatever the limits it is armed with."""
+    """N m, the largest torque that the drive can make, whatever limits it is armed with."""
     loop_rate: Annotated[float, Ge(100), Le(50_000), Unit("Hz")] = 5000.0
-    """Hz at which the firmware takes set-points over, closes the position loop and looks for faults."""
+    """Hz at which the firmware accepts set-points, closes the position loop and checks for faults."""
     position_gain: Annotated[NotNegative, Unit("N*m/rad")] = 0.02
-    """N m/rad of the position loop."""
+    """N m/rad, proportional gain of the position loop."""
     position_integral_gain: Annotated[NotNegative, Unit("N*m/(rad*s)")] = 0.5
-    """N m/(rad s) of the position loop."""
+    """N m/(rad s), integral gain of the position loop."""
     position_damping_gain: Annotated[NotNegative, Unit("N*m*s/rad")] = 9e-5
-    """N m s/rad of the position loop, on the filtered velocity."""
+    """N m s/rad, gain of the position loop on the filtered velocity."""
     command_delay: Annotated[Delay, Unit("s")] = 1e-4
-    """s from the arrival of a set-point to when the firmware may use it."""
+    """s from the arrival of a set-point to the time at which the firmware may use it."""
     supply_voltage: Annotated[Positive, Unit("V")] = 12.0
     """V, as the drive reports it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorParameters:
-    """The sensors: resolution, delay, noise."""
+    """The sensors of the simulated stand: resolution, delay and noise."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -146,39 +148,39 @@ class SensorParameters:
     joint_counts: Counts = 16384
     """Counts a turn of the joint encoder."""
     joint_encoder: bool = True
-    """Whether the joint has an encoder; its reading is NaN otherwise."""
+    """Whether the joint has an encoder; without one the joint angle is NaN."""
     torque_cell: bool = True
-    """Whether the locked joint rests on a torque cell; its reading is NaN otherwise."""
+    """Whether the locked joint rests on a torque cell; without one the joint torque is NaN."""
     reports_velocity: bool = True
-    """Whether the drive reports a velocity; it is NaN otherwise."""
+    """Whether the drive reports a velocity; otherwise the velocity is NaN."""
     velocity_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 200.0
-    """Hz, first order, of the drive's velocity filter."""
+    """Hz, bandwidth of the drive's velocity filter, first order."""
     velocity_lsb: Annotated[Positive, Unit("rad/s")] = 0.024
-    """rad/s at the motor shaft."""
+    """rad/s at the motor shaft, one count of velocity."""
     current_lsb: Annotated[Positive, Unit("A")] = 1e-3
-    """A; times the torque constant it is the LSB of the motor torque."""
+    """A, one count of current; multiplied by the torque constant it is one count of motor torque."""
     motor_torque_noise: Annotated[NotNegative, Unit("N*m")] = 1e-5
     """N m at the motor shaft, standard deviation, white."""
     torque_cell_noise: Annotated[NotNegative, Unit("N*m")] = 2e-4
     """N m at the joint, standard deviation, white."""
     torque_cell_offset: Annotated[float, Unit("N*m")] = 5e-5
-    """N m at the joint."""
+    """N m at the joint, error of the torque cell's zero."""
     torque_cell_drift: Annotated[float, Unit("N*m/s")] = 1e-6
-    """N m/s at the joint, since the servo was opened."""
+    """N m/s at the joint, drift of the torque cell's zero since the servo was opened."""
     torque_cell_lsb: Annotated[Positive, Unit("N*m")] = 2e-5
-    """N m at the joint."""
+    """N m at the joint, one count of the torque cell."""
     torque_cell_bandwidth: Annotated[float, Gt(0), Le(20_000), Unit("Hz")] = 2000.0
-    """Hz, first order."""
+    """Hz, bandwidth of the torque cell, first order."""
     motor_position_delay: Annotated[Delay, Unit("s")] = 0.0
-    """s: age of the motor angle and velocity when the drive answers."""
+    """s, age of the motor angle and velocity when the drive answers."""
     motor_torque_delay: Annotated[Delay, Unit("s")] = 5e-5
-    """s: age of the motor torque."""
+    """s, age of the motor torque when the drive answers."""
     joint_position_delay: Annotated[Delay, Unit("s")] = 1e-4
-    """s: age of the joint angle."""
+    """s, age of the joint angle when the drive answers."""
     joint_torque_delay: Annotated[Delay, Unit("s")] = 5e-5
-    """s: age of the torque cell's reading, on top of its filter."""
+    """s, age of the torque cell's reading when the drive answers, without the delay of the cell's filter."""
     temperature_lsb: Annotated[Positive, Unit("K")] = 1.0
-    """K of the winding temperature."""
+    """K, one count of the winding temperature."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +190,13 @@ class LinkParameters:
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     round_trip: Annotated[Positive, Unit("s")] = 6e-4
-    """s, request and reply together, each half of it on average."""
+    """s, mean duration of request and reply together; each takes half of it on average."""
     jitter: Annotated[NotNegative, Unit("s")] = 2e-5
-    """s, standard deviation of each half; what makes the two unequal is what the time stamp is wrong by."""
+    """s, standard deviation of the durations of request and of reply. A time stamp is wrong by half the difference of
+    the two durations.
+    """
     lost_reply: Annotated[float, Ge(0), Lt(1)] = 1e-3
-    """Probability that a reply is lost; the set-point has arrived all the same."""
+    """Probability that a reply is lost; the set-point arrives nevertheless."""
     reply_timeout: Annotated[Positive, Unit("s")] = 1.5e-3
     """s after which a reply counts as lost."""
     watchdog: Annotated[Positive, Unit("s")] = 0.1
@@ -213,7 +217,7 @@ class LinkParameters:
 
 @dataclass(frozen=True, slots=True)
 class SimParameters:
-    """The simulated stand; the default is the paper's joint with honest, imperfect sensors."""
+    """The simulated stand. The default is the paper's joint with realistic sensors."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -238,10 +242,11 @@ class SimParameters:
         motor_inertia: float | None = None,
         motor_damping: float | None = None,
     ) -> SimParameters:
-        """Return these parameters with every open motor parameter filled in.
+        """Return these parameters with a value for every motor parameter that is None.
 
-        What `[sim.motor]` states holds; then what the stand states (the arguments: -, kg m^2, N m s/rad); then the
-        default: a small coreless motor behind a gear of 4, which puts the torque-driven resonance near 12 Hz.
+        A value in `[sim.motor]` is used first, then that of the stand (the arguments: gear_ratio -, motor_inertia kg
+        m^2, motor_damping N m s/rad), then the default: a small coreless motor with a gear ratio of 4, with which the
+        torque-driven resonance is near 12 Hz.
         """
         motor = replace(
             self.motor,

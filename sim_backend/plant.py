@@ -1,7 +1,7 @@
-"""The physics of the stand in continuous time, and nothing else: no drive firmware, no counts, no link.
+"""The equations of the stand's physics in continuous time: without drive firmware, rounding to counts or link.
 
-The state is a vector; its components are named by the constants below. Everything at the motor is at its shaft,
-everything at the joint is at the joint. Equation numbers are the paper's.
+The state is a vector, whose components are named by the constants below. Motor quantities are at the motor shaft, joint
+quantities at the joint. Equation numbers are those of the paper.
 """
 
 from __future__ import annotations
@@ -21,37 +21,39 @@ Vector = NDArray[np.float64]
 Packed = NDArray[np.void]
 
 TORQUE = 0
-"""sigma_m, N m: what the current makes."""
+"""Component of the state: motor torque that the current makes, sigma_m, N m."""
 MOTOR = 1
-"""theta_m, rad."""
+"""Component of the state: motor angle, theta_m, rad."""
 MOTOR_RATE = 2
-"""rad/s."""
+"""Component of the state: motor velocity, rad/s."""
 JOINT = 3
-"""theta_c, rad: nearly constant, because the joint is locked."""
+"""Component of the state: joint angle, theta_c, rad. It is nearly constant, because the joint is locked."""
 JOINT_RATE = 4
-"""rad/s."""
+"""Component of the state: joint velocity, rad/s."""
 BRISTLE = 5
-"""rad: mean deflection of the friction's bristles (LuGre)."""
+"""Component of the state: mean deflection of the friction's bristles (LuGre), rad."""
 HYSTERESIS = 6
-"""-: the Bouc-Wen element's load over its yield load, -1 to 1."""
+"""Component of the state: load of the Bouc-Wen element divided by its yield load, -1 to 1."""
 WINDING = 7
-"""degC."""
+"""Component of the state: temperature of the winding, degC."""
 HOUSING = 8
-"""degC."""
+"""Component of the state: temperature of the housing, degC."""
 CELL = 9
-"""N m: the torque cell's output before it is sampled."""
+"""Component of the state: output of the torque cell before sampling, N m."""
 VELOCITY = 10
-"""rad/s: the drive's velocity filter."""
+"""Component of the state: output of the drive's velocity filter, rad/s."""
 STATES = 11
 
 _BEYOND_STRIBECK = 100.0
-"""Squares of a relative rate from which exp(-square), 4e-44, is less than the last digit of what it is added to."""
+"""Square of the relative rate above which exp(-square) is neglected: it is then below 4e-44 and does not change the
+sum.
+"""
 
 
 class Constants(NamedTuple):
-    """The plant's parameters as the equations want them (units as in `parameters`; rates in 1/s).
+    """The plant's parameters in the form that the equations need. Units as in `parameters`; rates in 1/s.
 
-    The compiled functions take the same names as a record (`packed`).
+    `packed` converts them to the record that the compiled functions take.
     """
 
     gear_ratio: float
@@ -85,7 +87,7 @@ class Constants(NamedTuple):
 
 
 def constants(parameters: SimParameters) -> Constants:
-    """The plant's constants from the stand's parameters, with open motor parameters at their defaults."""
+    """Return the plant's constants for the stand's parameters. Motor parameters that are None get their defaults."""
     stand = parameters.resolved()
     motor, coupling, fixture = stand.motor, stand.coupling, stand.fixture
     assert motor.gear_ratio is not None  # noqa: S101 - `resolved` leaves none open; for the type checker
@@ -124,14 +126,15 @@ def constants(parameters: SimParameters) -> Constants:
 
 
 def packed(c: Constants) -> Packed:
-    """Return the constants as an array of one record, (1,), which a compiled function takes over in 0.2 us."""
+    """Return the constants as an array of one record, shape (1,), which a compiled function accepts in 0.2 us."""
     return np.array([c], dtype=[(name, np.float64) for name in Constants._fields])
 
 
 def fastest_rate(c: Constants) -> float:
-    """1/s, the fastest of the stand's parts on its own: what the integrator's steps have to follow.
+    """Return the fastest rate of the stand's parts, each taken alone, 1/s. The integrator's steps must be short enough
+    for this rate.
 
-    Of an inertia on a spring and a damper the larger root of J s^2 + B s + K, in magnitude.
+    For an inertia on a spring and a damper, the rate is the larger magnitude of the roots of J s^2 + B s + K.
     """
     square = c.gear_ratio**2
     motor = (c.inertia, c.viscous_friction + c.damping / square, c.stiffness / square)
@@ -141,7 +144,7 @@ def fastest_rate(c: Constants) -> float:
 
 
 def at_rest(c: Constants) -> Vector:
-    """The state nobody has touched: no torque, no deflection, everything at ambient temperature. Shape (STATES,)."""
+    """Return the state at rest, (STATES,): no torque, no deflection, all temperatures at ambient."""
     state = np.zeros(STATES)
     state[WINDING] = state[HOUSING] = c.ambient
     return state
@@ -149,9 +152,10 @@ def at_rest(c: Constants) -> Vector:
 
 @compiled_within
 def elastic_torque(deflection: float, rate: float, c: Constants) -> float:
-    """Torque in spring and damper, N m, from the deflection, rad, and its rate, rad/s (equation 2 and what it lacks).
+    """Return the torque of spring and damper, N m. deflection: rad. rate: its rate, rad/s.
 
-    With a gap or slack the flanks can push (the tendon pull) but not stick: damping never turns the torque round.
+    This is equation 2 of the paper plus cubic stiffness, gap and slack. With a gap, contact can push but not stick;
+    with slack, the tendon can only pull. So damping never reverses the sign of the torque.
     """
     if c.gap == 0.0 and c.slack == 0.0:
         return c.stiffness * deflection + c.cubic * (deflection * deflection * deflection) + c.damping * rate
@@ -165,7 +169,10 @@ def elastic_torque(deflection: float, rate: float, c: Constants) -> float:
 
 @compiled_within
 def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
-    """Return the rate at which the friction's bristles bend, rad/s (LuGre); zero without dry friction."""
+    """Return the rate at which the friction's bristles deflect, rad/s (LuGre); zero without dry friction.
+
+    bristle: their deflection, rad. rate: deflection rate of the coupling, rad/s.
+    """
     if c.coulomb == 0.0:
         return 0.0
     square = (rate / c.stribeck) * (rate / c.stribeck)
@@ -177,7 +184,11 @@ def bristle_rate(bristle: float, rate: float, c: Constants) -> float:
 
 @compiled_within
 def hysteresis_rate(load: float, rate: float, c: Constants) -> float:
-    """Return the rate of the Bouc-Wen element's relative load, 1/s: linear on unloading, yielding on loading."""
+    """Return the rate of the Bouc-Wen element's relative load, 1/s. The element is linear when unloading and yields
+    when loading.
+
+    load: relative load, -1 to 1. rate: deflection rate of the coupling, rad/s.
+    """
     if c.hysteresis_torque == 0.0:
         return 0.0
     yielded = abs(load) ** c.hysteresis_exponent if rate * load > 0.0 else 0.0
@@ -186,14 +197,19 @@ def hysteresis_rate(load: float, rate: float, c: Constants) -> float:
 
 @compiled_within
 def passed_on(state: Vector, deflection: float, rate: float, bending: float, c: Constants) -> float:
-    """sigma_c, N m, where the deflection, rad, its rate and the bristles' rate, rad/s, are known already."""
+    """Return the torque that the coupling transmits to the joint, sigma_c, N m, from rates that are known already.
+
+    deflection: of the coupling, rad; rate: deflection rate, rad/s. bending: rate of the friction's bristles, rad/s.
+    """
     friction = c.bristle_stiffness * state[BRISTLE] + c.bristle_damping * bending
     return float(elastic_torque(deflection, rate, c) + friction + c.hysteresis_torque * state[HYSTERESIS])
 
 
 @compiled_no_refcount
 def coupling_torque(state: Vector, constants: Packed) -> float:
-    """Return the torque that the coupling transmits to the joint, sigma_c, N m, of a plant's state (STATES,)."""
+    """Return the torque that the coupling transmits to the joint, sigma_c, N m. state: state of the plant,
+    (STATES,).
+    """
     c = constants[0]
     deflection = state[MOTOR] / c.gear_ratio - state[JOINT]
     rate = state[MOTOR_RATE] / c.gear_ratio - state[JOINT_RATE]
@@ -202,9 +218,9 @@ def coupling_torque(state: Vector, constants: Packed) -> float:
 
 @compiled_within
 def derivatives(state: Vector, demand: float, c: Constants, out: Vector) -> None:
-    """Write the rate of change of `state` into `out`, both of shape (STATES,).
+    """Write the rate of change of `state` into `out`; both have the shape (STATES,).
 
-    demand: the motor torque the current loop is asked for, N m.
+    demand: the motor torque that is demanded of the current loop, N m.
     """
     deflection = state[MOTOR] / c.gear_ratio - state[JOINT]
     rate = state[MOTOR_RATE] / c.gear_ratio - state[JOINT_RATE]

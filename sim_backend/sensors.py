@@ -1,4 +1,4 @@
-"""The sensors of the simulated servo: delay, resolution, noise, absence."""
+"""The sensors of the simulated servo, with delay, resolution and noise; a sensor may be absent."""
 
 from __future__ import annotations
 
@@ -24,9 +24,11 @@ _BLOCK = 64  # exchanges for which numbers are drawn at a time
 
 
 class Noise:
-    """One generator a source; each gives one number an exchange, used or not, so that a seed fixes them all.
+    """The random numbers of the simulated servo, from one random generator for each source.
 
-    draws: for each exchange its numbers, in the order of the sources: standard normal; LOST: [0, 1).
+    Each source draws one number for each exchange, whether it is used or not. So one source does not change the numbers
+    of another, and a seed fixes all numbers. draws: an iterator over the numbers of each exchange, in the order of the
+    sources. They are standard normal; LOST is uniform in [0, 1).
     """
 
     def __init__(self, seed: int) -> None:
@@ -40,13 +42,15 @@ class Noise:
             yield from zip(*map(self._block, range(STREAMS)), strict=True)
 
     def _block(self, number: int) -> list[float]:
-        """Return the next numbers of a stream: the same as if each were drawn alone, in a twentieth of the time."""
+        """Return the next numbers of the source `number`. They are the same as if each were drawn alone, in a twentieth
+        of the time.
+        """
         stream = self._streams[number]
         return list((stream.random if number == LOST else stream.standard_normal)(_BLOCK).tolist())
 
 
 class Reading(NamedTuple):
-    """The readings in a reply: `Sample` without its times and status, in the same units."""
+    """The measurements in a reply: those of `Sample` without times and status, in the same units."""
 
     motor_position: float
     motor_velocity: float
@@ -58,7 +62,7 @@ class Reading(NamedTuple):
 
 
 def counted(value: float, lsb: float) -> float:
-    """`value` to the nearest whole count."""
+    """Return `value` rounded to whole counts. lsb: value of one count."""
     return math.floor(value / lsb + 0.5) * lsb
 
 
@@ -73,7 +77,11 @@ _TORQUE_NOISE, _CELL_NOISE, _CELL_OFFSET, _CELL_DRIFT, _AGES = range(7, 12)
 def read_channels(  # noqa: PLR0917 - compiled functions take their parts by position
     memory: Vector, path: Path, c: Vector, at: float, motor_torque: float, joint_torque: float, reading: Vector
 ) -> None:
-    """Write every channel at `at`, s, into `reading`, (7,); the motor position is NaN where it is not remembered."""
+    """Write the measurements of every sensor at `at`, s, into `reading`, (7,).
+
+    The motor position is NaN if a sensor's delay is longer than the stored past. memory, path: of the drive. c:
+    constants of the sensors. motor_torque, joint_torque: noise of the two torques, standard normal.
+    """
     state, known = path[TRIAL], True
     for sensor in range(4):
         known &= recall(path, path[CLOCK, TIME] - c[_AGES + sensor], state)
@@ -97,7 +105,7 @@ def read_channels(  # noqa: PLR0917 - compiled functions take their parts by pos
 
 
 class Sensors:
-    """The channels of one stand."""
+    """The sensors of one simulated stand."""
 
     def __init__(self, parameters: SimParameters) -> None:
         sensors = parameters.sensors
@@ -125,10 +133,10 @@ class Sensors:
         self._reading = np.empty(len(Reading._fields))
 
     def read(self, drive: Drive, at: float, motor_torque: float, joint_torque: float) -> Reading:
-        """Carry the drive to `at`, s, and return every channel at its own instant.
+        """Simulate the drive up to `at`, s, and return the measurement of every sensor, each with its own delay.
 
-        The noise of the two torques is given, standard normal. Raises RuntimeError where one shows an instant further
-        back than the plant remembers.
+        motor_torque, joint_torque: noise of the two torques, standard normal. Raises RuntimeError if a sensor's delay
+        is longer than the stored past of the plant.
         """
         drive.run(at)
         read_channels(drive.memory, drive.path, self._constants, at, motor_torque, joint_torque, self._reading)

@@ -1,4 +1,4 @@
-"""The simulated servo: a drive on the plant, behind a link that takes time and loses replies."""
+"""The simulated servo: a drive with the plant, behind a link that takes time and loses replies."""
 
 from __future__ import annotations
 
@@ -58,9 +58,10 @@ _GOOD = Status(0)
 class TrueState:
     """The exact state of the simulated stand, which no sensor measures.
 
-    t: s on the servo's clock. motor_*: rad, rad/s, N m at the motor shaft. torque_demand: set-point of the current
-    loop, N m. joint_*: rad, rad/s at the joint. coupling_torque: sigma_c, N m. cell_torque: N m at the torque cell
-    before it is sampled. winding_temperature: degC. enabled: whether current can flow.
+    t: s on the servo's clock. motor_position rad, motor_velocity rad/s, motor_torque N m: at the motor shaft.
+    torque_demand: torque that is demanded of the current loop, N m. joint_position rad, joint_velocity rad/s: at the
+    joint. coupling_torque: sigma_c, N m. cell_torque: N m at the torque cell before sampling. winding_temperature:
+    degC. enabled: whether current can flow.
     """
 
     t: float
@@ -77,9 +78,9 @@ class TrueState:
 
 
 class SimServo:
-    """A simulated axis. The same parameters, seed, plan and commands give the same samples bit for bit.
+    """A simulated servo. The same parameters, seed, faults and commands give the same samples bit for bit.
 
-    faults: planned faults, in s since construction. Raises ValueError where the seed is negative.
+    faults: planned faults, with times in s since construction. Raises ValueError if the seed is negative.
     """
 
     def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
@@ -115,8 +116,8 @@ class SimServo:
     def arm(self, limits: Limits) -> None:
         """Write the limits into the drive and enable it at zero torque.
 
-        The drive's own torque limit holds beside `limits.torque`; the position range bounds set-points only.
-        Raises LinkLost, NoReply, DeviceFault where a fault is latched, DriverError where the torque limit is refused.
+        The lower of the drive's own torque limit and `limits.torque` acts. The position range limits set-points only.
+        Raises LinkLost, NoReply, DeviceFault if a fault is latched, DriverError if the torque limit is below one count.
         """
         now = self._reach()
         self._advance(now)
@@ -131,11 +132,11 @@ class SimServo:
             self._drive.enable(limits)
 
     def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state; the clock advances by a round trip, or by the timeout for a lost
-        reply.
+        """Send the set-point and read the state. The clock advances by a round trip, or by the timeout if the reply is
+        lost.
 
-        The set-point acts from its arrival, so the sample holds the state before it. A fault, once latched, is
-        raised by every exchange. Raises NoReply, BadReply, LinkLost, DeviceFault.
+        The set-point acts only after its arrival, so the sample holds the state before the set-point. After a fault is
+        latched, every call raises it. Raises NoReply, BadReply, LinkLost, DeviceFault.
         """
         admitted = self._gate.admit(command)
         out, back, lost, motor_noise, cell_noise = next(self._draws)
@@ -165,7 +166,7 @@ class SimServo:
         return Sample(sent, 0.5 * (sent + returned), *reading, status)
 
     def _planned(self, reading: Reading, t: float) -> tuple[Reading, Status]:
-        """Return what the drive answers at `t` s under the plan. Raises BadReply."""
+        """Apply the planned faults to a reading at `t` s. Return the reading and its status. Raises BadReply."""
         if within(self._plan, CorruptReplies, t):
             raise BadReply("the reply failed its checksum: the sample is dropped")
         status = _GOOD
@@ -177,7 +178,7 @@ class SimServo:
         return reading, status
 
     def disarm(self) -> None:
-        """Switch the torque off. Raises as `Gate.disarm`; the drive's watchdog then switches it off."""
+        """Switch the torque off. Raises as `Gate.disarm`; in that case the drive's watchdog switches the torque off."""
         self._gate.disarm()
 
     def close(self) -> None:
@@ -185,9 +186,11 @@ class SimServo:
         self._gate.close()
 
     def truth(self) -> dict[str, float]:
-        """Return the true parameters for the recording's `/truth`: SI, at the joint unless named for the motor.
+        """Return the true parameters, which the recording stores in `/truth`: SI units, at the joint unless the name
+        says motor.
 
-        skew_motor, skew_joint: age of the torque reading minus age of the angle reading, s, filter lag included.
+        skew_motor, skew_joint: age of the torque reading minus age of the angle reading, s, including the delay of
+        filters.
         """
         p = self._parameters
         c, sensors = self._drive.constants, p.sensors
@@ -211,7 +214,9 @@ class SimServo:
         }
 
     def true_state(self) -> TrueState:
-        """Return the plant's state at the present time of the clock, open or closed, for tests. No time passes."""
+        """Return the plant's state at the present time of the clock, for tests. The servo may be open or closed; no
+        time passes.
+        """
         self._advance(self.clock.now())
         drive = self._drive
         state = drive.path[STATE]
@@ -235,7 +240,9 @@ class SimServo:
         self._drive.disable()
 
     def _reach(self) -> float:
-        """Return the time of sending. Raises LinkLost, and NoReply once the timeout has passed."""
+        """Return the present time, s, at which a request is sent. Raises LinkLost, and NoReply after the timeout if the
+        link is silent.
+        """
         now = self.clock.now()
         self._gate.require_open()
         if now - self._opened >= self._link_ends:
@@ -258,13 +265,13 @@ class SimServo:
         raise DeviceFault(code, f"the drive latched fault {code}: {remedy}")
 
     def _advance(self, t: float) -> None:
-        """Run the drive until `t` on the clock, with set-points and planned faults at their times."""
+        """Simulate the drive up to the time `t` on the clock, with set-points and planned faults at their times."""
         until = t - self._opened
         self._deliver(until)
         self._drive.run(until)
 
     def _deliver(self, until: float) -> None:
-        """Let set-points and planned faults arrive that are due until then, s since the servo was opened."""
+        """Apply the set-points and planned faults that arrive up to `until`, s since the servo was opened."""
         while self._ahead and self._ahead[0].at <= until:
             fault = self._ahead.popleft()
             self._take_over(fault.at)
