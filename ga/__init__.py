@@ -1,1 +1,3 @@
-"""The genetic search: chromosomes, operators, fitness, trials, and the exact optimum beside them."""
+"""The genetic search for a model's parameters: chromosomes, operators, fitness, trials, and the exact optimum beside
+them.
+"""

@@ -1,4 +1,4 @@
-"""The box of parameter space that is searched."""
+"""The bounds of a search: the range of each parameter."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 AT_BOUND = 1e-4
-"""A gene within this part of its range of a bound is at the bound: random redraws never hit one exactly."""
+"""The distance from a bound, as a fraction of the range, below which a gene is at the bound: random redraws never hit a
+bound exactly.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """The lowest and the highest value of each gene: low (p,) and high (p,), SI units.
+    """The lowest and the highest value of each gene, SI: low (p,) and high (p,).
 
-    names: the parameters' names, for messages; may be left out.
-    Raises ValueError, naming the parameter, where a bound is not finite or low is not below high.
+    names: the parameters' names for messages; optional. Raises ValueError, naming the parameter, if a bound is not
+    finite or low is not below high.
     """
 
     low: NDArray[np.float64]
@@ -49,7 +51,7 @@ class Bounds:
         return self.names[k] if self.names else f"parameter {k}"
 
     def at_bound(self, genes: NDArray[np.float64]) -> tuple[str | None, ...]:
-        """For each gene (p,) "low" or "high" where it lies on that bound or beyond it, else None."""
+        """Return for each gene (p,) "low" or "high" if the gene lies on that bound or beyond it, else None."""
         margin = AT_BOUND * (self.high - self.low)
         return tuple(
             "low" if gene <= low + m else "high" if gene >= high - m else None
@@ -58,7 +60,7 @@ class Bounds:
 
 
 PAPER_BOUNDS: Final = Bounds(np.array([0.5e-3, 1e-5]), np.array([0.2, 1e-2]), ("Kc", "Bc"))
-"""The paper, "Problem Encoding": Kc 0.5 to 200 mN m/rad, Bc 0.01 to 10 mN m s/rad."""
+"""The bounds in the paper's section "Problem Encoding": Kc 0.5 to 200 mN m/rad, Bc 0.01 to 10 mN m s/rad."""
 
 
 def bounds_from_data(
@@ -67,16 +69,17 @@ def bounds_from_data(
     names: tuple[str, ...] = (),
     positive: tuple[int, ...] = (),
 ) -> Bounds:
-    """A box that holds a chromosome of least mean absolute error, from columns (n, p) and torque (n,), N m.
+    """Return bounds that contain a chromosome of least mean absolute error, for columns (n, p) and torque (n,), N m.
 
-    positive: genes of which it holds no negative value. It is centred on the least-squares solution, with zero in place
-    of a negative one of these, g0. For the optimum g, with v = columns (g - g0), the triangle inequality gives |v|_1 <=
-    2 n fitness(g0), and the largest leverage h (the largest diagonal element of the hat matrix) gives |v|_2 <= sqrt(h)
-    |v|_1; hence |g - g0|_k <= 2 n fitness(g0) sqrt(h C_kk), C = (columns^T columns)^-1. The box is never narrower than
-    g0 +- mean|torque|/mean|column|, what the parameter would be if it alone made the torque, lest good data make the
-    search trivial. It moves with the units of columns and torque. Where columns are collinear or zero, the box holds
-    one of the many optima.
-    Raises ValueError where the data are not finite, not of equal length or empty.
+    positive: indices of genes that must not be negative. The centre of the bounds is g0, the least-squares solution,
+    with zero in place of a negative value of such a gene. For the optimum g, with v = columns (g - g0), the triangle
+    inequality gives |v|_1 <= 2 n fitness(g0), and the largest leverage h (the largest diagonal element of the hat
+    matrix) gives |v|_2 <= sqrt(h) |v|_1; hence |g - g0|_k <= 2 n fitness(g0) sqrt(h C_kk), C = (columns^T columns)^-1.
+    The bounds are never narrower than g0 +- mean|torque|/mean|column|, the value of a parameter that alone would make
+    the torque; otherwise good data would make the search trivial. The bounds scale with the units of columns and
+    torque. If columns are collinear or zero, the bounds contain one of the many optima.
+
+    Raises ValueError if the data are not finite, not of equal length or empty.
     """
     check(columns, torque)
     scale = np.abs(columns).max(axis=0)

@@ -1,4 +1,6 @@
-"""The garbage collector, which looks at every object of all imported modules again and again."""
+"""Switch off Python's garbage collector, which otherwise examines all objects of all imported modules again and
+again.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Collect no garbage within: where it takes a good part of the time and finds next to none, or stops a loop."""
+    """Switch off the garbage collector in a `with` block: for code in which collecting takes much time for little, or
+    stops a loop.
+    """
     before = gc.isenabled()
     gc.disable()
     try:

@@ -1,19 +1,19 @@
-"""Compile the hot functions (numba): once, cached in the user's cache folder, without the interpreter lock.
+"""Compile the hot functions (numba): once, cached in the user's cache folder, and without the interpreter lock.
 
-No fast-math: a NaN stays a NaN, and sums keep the order they are written in, so a seed gives the same bits on every
-machine. Division follows IEEE 754 and raises nothing.
+No fast-math: a NaN stays a NaN, and sums are computed in the order in which they are written, so a seed gives the same
+bits on every machine. Division follows IEEE 754 and raises nothing.
 
-numba renews a function's machine code when the function's own file changes, but not when a function or a constant of
-another file does that was compiled into it. So the cache folder's name holds a hash of the contents of all sources
-the machine code can come from: code of a changed, renamed or moved module is never found again.
+numba recompiles a function when its own file changes, but not when a function or a constant of another file changes
+that was compiled into it. Therefore the name of the cache folder contains a hash of all sources that the machine code
+can come from: machine code of a changed, renamed or moved module is never found again.
 
-Several processes share the folder. Each function has a lock in it, so that one process compiles it and the others wait
-and load what it made. A function locks those that it calls while it is locked itself; calls have no cycles, so two
-processes never wait for each other.
+Several processes share the folder. Each function has a lock file in the folder, so that one process compiles the
+function and the others wait and load the result. A function locks those that it calls while it is locked itself; calls
+have no cycles, so two processes never wait for each other.
 
 Ctrl-C takes effect between two functions: LLVM calls back into Python, where a KeyboardInterrupt would be lost.
 
-Where no folder can be written, or the disk is full, functions are compiled in memory, and a warning is logged once.
+If no folder can be written, or the disk is full, functions are compiled in memory, and a warning is logged once.
 """
 
 from __future__ import annotations
@@ -51,22 +51,22 @@ _numba: Any = numba.config  # set from the environment by name, unseen by a type
 _appdirs: Any = appdirs
 _log: Final = logging.getLogger(__name__)
 KEPT: Final = 20
-"""Folders of machine code kept for each package, the last used first."""
+"""The number of folders of machine code that are kept for each package, the most recently used first."""
 _POLL: Final = 0.05
-"""s between two looks at whether another process has finished a function."""
+"""The time, s, between two checks whether another process has finished a function."""
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function` compiled at its first call, as `numba.njit` does."""
+    """Return `function` as a function that is compiled at its first call, as with `numba.njit`."""
     return _compiled(function)
 
 
 def compiled_no_refcount(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function` compiled without reference counting; it may not allocate.
+    """Return `function`, compiled without reference counting; it must not allocate memory.
 
-    Atomic counting of an array's references costs ten times what such a function of an inner loop computes. One whose
-    name begins with an underscore can be called from compiled functions only (from Python it would crash): it gets no
-    entry from Python, which is half of its compilation.
+    Atomic counting of an array's references takes ten times as long as the computation in such a function of an inner
+    loop. A function whose name begins with an underscore can be called from compiled functions only (a call from Python
+    would crash): no entry from Python is compiled for it, which saves half of the compilation.
     """
     return _compiled(function, **_no_refcount(function))
 
@@ -77,10 +77,10 @@ def compiled_inline(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_within(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function`, whose lines are compiled as those of the compiled function that calls it.
+    """Return `function`, whose lines are compiled as a part of the compiled function that calls it.
 
-    For one that is short or called from one or two places: that takes half as long as a function of its own, whose
-    machine code nobody runs once it is inlined. From Python it can be called as one of `compiled_no_refcount` can.
+    This is for a function that is short, or called from one or two places: it takes half as long as compiling a
+    separate function, whose machine code is not used once it is inlined. Calls from Python: see `compiled_no_refcount`.
     """
     return _compiled(function, **_no_refcount(function), inline="always")
 
@@ -107,14 +107,14 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
 
 
 def is_compiled(function: Callable[P, R]) -> bool:
-    """Return whether machine code of a compiled function is in its cache folder; False where nothing is cached."""
+    """Return whether the cache folder contains machine code of a compiled function; False if nothing is cached."""
     plain = cast("Any", function).py_func
     folder = cache_folder(_package(Path(plain.__code__.co_filename)))
     return folder is not None and any(folder.rglob(f"*.{plain.__name__}-*.nbi"))
 
 
 def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: Any) -> Any:
-    """Compile or load a function as numba does, while no other process compiles it."""
+    """Compile or load a function as numba does, while no other process compiles the same function."""
     with global_compiler_lock:  # first: a thread that had the file and waited for this one would stop both
         try:
             file = lock.open("ab")
@@ -131,7 +131,7 @@ def _compiled_in_memory(compile_: Callable[..., Any], *signature: Any) -> Any:
 
 
 def _kept(save: Callable[..., None], *made: Any) -> None:
-    """Save machine code, or say that it cannot be kept."""
+    """Save machine code in the cache, or log a warning that it cannot be saved."""
     try:
         save(*made)
     except OSError:
@@ -147,7 +147,7 @@ def _say_not_kept() -> None:
 
 
 class _Held:
-    """A handler of Ctrl-C that notes it."""
+    """A handler of Ctrl-C that only records that Ctrl-C was pressed."""
 
     came = False
 
@@ -155,7 +155,7 @@ class _Held:
         self.came = True
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt where it came."""
+        """Raise KeyboardInterrupt if Ctrl-C was pressed."""
         if self.came:
             raise KeyboardInterrupt
 
@@ -164,7 +164,7 @@ _held: Final = _Held()
 
 
 def _between_interrupts(compile_or_load: Callable[..., Any], *signature: Any) -> Any:
-    """Compile or load a function, which may compile others that it calls; a Ctrl-C meanwhile is raised afterwards."""
+    """Compile or load a function, and the functions that it calls. A Ctrl-C during this time is raised afterwards."""
     handler = signal.getsignal(signal.SIGINT)
     outermost = handler is signal.default_int_handler and threading.current_thread() is threading.main_thread()
     if outermost:
@@ -181,7 +181,7 @@ def _between_interrupts(compile_or_load: Callable[..., Any], *signature: Any) ->
 
 
 def _lock(file: IO[bytes]) -> None:
-    """Lock a file until it is closed; unlocked where the system cannot."""
+    """Lock a file until the file is closed. Without support by the system the file stays unlocked."""
     if sys.platform == "win32":
         return
     with suppress(OSError):
@@ -197,7 +197,7 @@ def _lock(file: IO[bytes]) -> None:
 
 
 class _Announced(event.Listener):
-    """Announces each function that is compiled."""
+    """A listener of numba's events that announces each compilation of a function through `ga.first_run`."""
 
     def on_start(self, _event: Any) -> None:
         first_run.announce(compiled=0)
@@ -223,7 +223,7 @@ def _numba_set_for(folder: Path | None) -> Iterator[None]:
 
 
 def _package(source: Path) -> Path:
-    """Return the top folder of the package that a source file belongs to, or the file itself if it is in none."""
+    """Return the top folder of the package that a source file belongs to, or the file itself if it is in no package."""
     top = source
     while (top.parent / "__init__.py").exists():
         top = top.parent
@@ -232,11 +232,11 @@ def _package(source: Path) -> Path:
 
 @cache
 def cache_folder(package: Path) -> Path | None:
-    """Return the folder for the machine code of a package's (or a single file's) present sources.
+    """Return the folder for the machine code of the present sources of a package or single file.
 
-    It lies where `NUMBA_CACHE_DIR` says, else in the user's cache folder, else in the package's `__pycache__`: the
-    first that can be written. None if none can, or if the sources cannot be read: then nothing is cached. A user
-    without a home has no cache folder: that of the working directory would run what somebody else put there.
+    The first of these folders that can be written is used: `NUMBA_CACHE_DIR`, the user's cache folder, the package's
+    `__pycache__`. None if none can be written, or if the sources cannot be read: then nothing is cached. A user without
+    a home folder has no cache folder: a cache in the working directory could run code that somebody else put there.
     """
     try:
         name = f"{package.stem}-{_digest(package, Path(__file__).parent)}"
@@ -262,7 +262,7 @@ def _digest(*packages: Path) -> str:
 
 
 def _used(folder: Path) -> bool:
-    """Make a cache folder, or note that it is in use; False if it cannot be written."""
+    """Create a cache folder, or record that it is in use; return False if the folder cannot be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
@@ -273,7 +273,7 @@ def _used(folder: Path) -> bool:
 
 
 def _prune(base: Path, package: str) -> None:
-    """Delete all but the last used folders of a package's machine code."""
+    """Delete all but the most recently used folders of a package's machine code."""
     try:
         by_use = sorted(base.glob(f"{package}-*"), key=lambda folder: folder.stat().st_mtime_ns, reverse=True)
     except OSError:  # another process prunes at the same time

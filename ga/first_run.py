@@ -1,6 +1,6 @@
-"""Announces the compilation of the first run to whoever shows progress.
+"""Announce the compilation in a first run to the functions that show progress.
 
-numba is not imported here: a command that shows progress need not wait for it.
+numba is not imported here, so that a command that shows progress need not wait for the import.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ _listeners: list[Callable[[int], None]] = []
 
 @contextmanager
 def announced_to(listener: Callable[[int], None]) -> Iterator[None]:
-    """Call `listener` while functions are compiled, with how many were finished since: 0 where one goes on."""
+    """Call `listener` in a `with` block while functions are compiled.
+
+    Its argument is the number of functions finished since the last call: 0 when a compilation begins.
+    """
     _listeners.append(listener)
     try:
         yield
@@ -25,6 +28,6 @@ def announced_to(listener: Callable[[int], None]) -> Iterator[None]:
 
 
 def announce(compiled: int) -> None:
-    """Tell every listener that so many functions were finished."""
+    """Call every listener with the number of functions that were finished."""
     for listener in tuple(_listeners):
         listener(compiled)

@@ -1,6 +1,6 @@
-"""numba without the settings of a file in the working directory, where somebody else may have put it.
+"""Import numba without the settings of a file in the working directory, where somebody else may have put it.
 
-Such a `.numba_config.yaml` may name the folder that machine code is loaded from, which would then run.
+Such a file `.numba_config.yaml` may name the folder from which machine code is loaded, and that code would then run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from typing import Any
 
 @contextmanager
 def _no_settings_read() -> Iterator[None]:
-    """Let numba find nothing to read the file with; a program that has imported numba before has read it already."""
+    """Hide the reader of the settings file from numba in a `with` block. A program that has imported numba before has
+    read the file already.
+    """
     before: Any = sys.modules.get("yaml", ...)
     sys.modules["yaml"] = None  # type: ignore[assignment] # an import raises ImportError
     try:

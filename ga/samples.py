@@ -1,4 +1,6 @@
-"""The samples that are fitted: columns (n, p) and torque (n,), N m, and the least fitness that counts for them."""
+"""Check the samples that are fitted, columns (n, p) and torque (n,), N m, and find the smallest fitness that is not
+zero.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 RESOLUTION: Final = 1e-6
-"""A fitness below this part of the mean absolute torque counts as none when two fitnesses are compared relatively.
+"""The fraction of the mean absolute torque below which a fitness is treated as zero in relative comparisons.
 
 Noise-free data have an optimum of zero, to which nothing is relatively close.
 """
@@ -27,5 +29,5 @@ def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
 
 
 def resolution(torque: NDArray[np.float64]) -> float:
-    """The least fitness, N m, that relative comparisons divide by; 1e-300 where the torque is zero throughout."""
+    """Return the smallest divisor, N m, in relative comparisons of fitness; 1e-300 if the torque is zero throughout."""
     return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)

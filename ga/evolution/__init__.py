@@ -1,1 +1,1 @@
-"""The genetic algorithm."""
+"""The genetic algorithm: its schemes, operators and population."""

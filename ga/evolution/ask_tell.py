@@ -1,7 +1,7 @@
 """A search whose fitness is computed by the caller, for models that are not linear in their parameters.
 
-The operators are those of the `default` preset. The search asks for chromosomes to be evaluated and then takes their
-fitness:
+The operators are those of the `default` preset. The method `ask` returns chromosomes to evaluate, and `tell` takes
+their fitness:
 
     search = Search(bounds, seed=0)
     while not search.done:
@@ -26,15 +26,16 @@ if TYPE_CHECKING:
     from ga.bounds import Bounds
 
 _HOPELESS: Final = 1e300
-"""The fitness that replaces one that is infinite or not a number: worse than any other, but finite."""
+"""The fitness that replaces an infinite one or a NaN: larger (worse) than any other, but finite."""
 
 
 class Search:
-    """A search within bounds (p,), for the smallest fitness.
+    """A search for the chromosome with the smallest fitness within bounds (p,).
 
-    settings: of the generational scheme. floor: the smallest fitness that the stop rule's tolerance is relative to; set
-    it to what counts as zero if the best fitness is zero, or the search runs through all its generations. Raises
-    ValueError for another scheme, a population that is too small, or a negative seed.
+    settings: the settings of the generational scheme. floor: the smallest divisor of the stop rule's relative
+    tolerance. If the best fitness is zero, set `floor` to the fitness that is as good as zero; otherwise the search
+    runs through all its generations. Raises ValueError for another scheme, a population that is too small, or a
+    negative seed.
     """
 
     def __init__(
@@ -50,8 +51,9 @@ class Search:
         self._asked: NDArray[np.float64] | None = None
 
     def ask(self) -> NDArray[np.float64]:
-        """Return the chromosomes (k, p) to evaluate next: the first population, later 5 p children; unchanged until
-        `tell`.
+        """Return the chromosomes (k, p) to evaluate next: at first the first population, later 5 p children.
+
+        Until `tell` is called, further calls return the same chromosomes.
         """
         if self._asked is None:
             population, p = self._population, self._rules.low.size
@@ -68,8 +70,8 @@ class Search:
     def tell(self, genes: NDArray[np.float64], fitness: ArrayLike) -> None:
         """Take the fitness (k,) of the chromosomes (k, p) that `ask` returned, in their order.
 
-        A fitness that is infinite or not a number counts as the worst. Raises ValueError for other chromosomes, or if
-        there is not one number for each.
+        A fitness that is infinite or not a number is treated as the worst. Raises ValueError for other chromosomes, or
+        if the number of fitness values differs from the number of chromosomes.
         """
         if self._asked is None or not np.array_equal(genes, self._asked):
             raise ValueError("these are not the chromosomes that were asked for: tell what the last ask() gave")
@@ -107,12 +109,12 @@ class Search:
 
     @property
     def best_fitness(self) -> float:
-        """Its fitness; infinite before the first `tell`."""
+        """The fitness of the best chromosome so far; infinite before the first `tell`."""
         return float(self._population.best_fitness[0])
 
     @property
     def evaluations(self) -> int:
-        """Chromosomes evaluated."""
+        """The number of chromosomes evaluated so far."""
         return self._population.evaluations
 
     @property

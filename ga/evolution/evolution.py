@@ -1,7 +1,7 @@
-"""One search: the paper's steady-state algorithm and the generational one of the `default` preset.
+"""Run one search: with the paper's steady-state algorithm, or with the generational one of the `default` preset.
 
-Both advance a `Population` in place, any number of generations at a time, and end in the same bits however the
-generations are divided into calls: that is what lets a run be watched, interrupted and resumed.
+Both advance a `Population` in place by any number of generations, and give the same bits however the generations are
+divided into calls. Therefore a run can be watched, interrupted and resumed.
 """
 
 from __future__ import annotations
@@ -83,9 +83,9 @@ class Settings:
             raise ValueError(f"population of {self.population}: give 2 or more")
 
     def population_for(self, p: int) -> int:
-        """The number of chromosomes for p genes.
+        """Return the number of chromosomes for p genes.
 
-        Raises ValueError where it is smaller than a tournament or a family needs.
+        Raises ValueError if that number is smaller than a tournament or a family needs.
         """
         population = 10 + 8 * p if self.population is None else self.population
         drawn = self.tournament if self.scheme == "steady-state" else p + 2
@@ -101,7 +101,7 @@ READINGS: Final[Mapping[str, tuple[str, ...]]] = {
     "replacement": _REPLACEMENTS,
     "start": get_args(Beginning),
 }
-"""The readings that an option of `Settings` can have."""
+"""The allowed values of the options of `Settings` that are interpretations of the paper's text."""
 
 PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
     {
@@ -120,8 +120,9 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
 
 
 def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
-    """Return bounds and settings as the compiled loops read them. floor: the smallest fitness, N m, that relative
-    comparisons divide by.
+    """Return bounds and settings in the form that the compiled loops use.
+
+    floor: the smallest divisor, N m, in relative comparisons of fitness. reject: see `advance`.
     """
     rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
     if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:
@@ -142,7 +143,9 @@ def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> 
 
 
 def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
-    """Return room for a population of p genes, with its generator. Raises ValueError if it would be too small."""
+    """Return memory for a population of p genes, with its random generator. Raises ValueError if the population would
+    be too small.
+    """
     size = settings.population_for(p)
     return Population(
         genes=np.empty((size, p)),
@@ -158,10 +161,10 @@ def unborn(p: int, settings: Settings, seed: int, trial: int) -> Population:
 def begin(
     engine: Engine, bounds: Bounds, settings: Settings, seed: int, trial: int, *, start: Start | None = None
 ) -> Population:
-    """Return the first population, evaluated: uniform at random in the start's cube, or in the bounds if there is no
-    start.
+    """Return the first population, evaluated. It is uniform at random in the cube `start`, or in the bounds if there is
+    no start.
 
-    Raises ValueError if the bounds are not for as many parameters as the engine has columns.
+    Raises ValueError if the number of bounds differs from the engine's number of columns.
     """
     p = columns_of(engine)
     if bounds.low.size != p:
@@ -189,10 +192,11 @@ def advance(
     record: Record | None = None,
     reject: bool = True,
 ) -> None:
-    """Continue the search to generation `until`, or until its stop rule ends it, and fill the record on the way.
+    """Continue the search to generation `until`, or until its stop rule ends it, and fill the record of the best
+    fitness.
 
-    reject: whether children that are known to be too bad to survive are not evaluated; the population is the same to
-    the last bit.
+    reject: whether the evaluation of children that cannot survive is skipped; the population is the same to the last
+    bit.
     """
     generations = until - population.generation
     if generations <= 0 or population.stopped:

@@ -1,6 +1,6 @@
-"""The generational scheme of the `default` preset: in each generation one family of parents and children.
+"""The generational scheme of the `default` preset: each generation is one family of parents and children.
 
-A child worse than all parents does not survive, so its exact fitness need not be known.
+A child worse than all parents does not survive, so its exact fitness is not needed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ from ga.fitness.engine import error_of
 
 
 class Family(NamedTuple):
-    """Working space of one search: the children and behind them the parents, (7 p + 2, p), and their errors, N m."""
+    """Working space of one search: the chromosomes (7 p + 2, p) of the children, followed by the parents, and their
+    errors, N m.
+    """
 
     genes: NDArray[np.float64]
     errors: NDArray[np.float64]
@@ -39,7 +41,7 @@ class Family(NamedTuple):
 
 
 def family_of(p: int) -> Family:
-    """Room for p + 2 parents and 5 p children of p genes."""
+    """Return working space for p + 2 parents and 5 p children of p genes."""
     return Family(np.empty((p + 2 + 5 * p, p)), np.empty(p + 2 + 5 * p), np.empty(p))
 
 
@@ -53,7 +55,11 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
     record: Record,
     generations: int,
 ) -> None:
-    """Parents at random, children about their centre; the best of both live on, in the parents' places."""
+    """Run some generations of the scheme: draw parents at random, breed children around their centre, and keep the best
+    of both.
+
+    The best of the family take the parents' places in the population.
+    """
     due = due_after(record, population)
     p = rules.low.size
     parents, children = p + 2, 5 * p
@@ -80,14 +86,17 @@ def generational(  # noqa: PLR0917 - the compiled loops take their parts by posi
 
 @compiled_within
 def draw_parents(population: Population) -> None:
-    """Put p + 2 different chromosomes, each as likely as any, in front of the population's order."""
+    """Put p + 2 different chromosomes, each with equal probability, in front of the population's order."""
     count = population.genes.shape[1] + 2
     store(sample_distinct(population.order, count, load(population.generator)), population.generator)
 
 
 @compiled_within
 def breed(rules: Rules, population: Population, parents: Order, centre: Genes, children: NDArray[np.float64]) -> None:
-    """Fill children (count, p) by ensemble crossover and mutation, within the bounds. centre: (p,), overwritten."""
+    """Fill `children` (count, p) by ensemble crossover and mutation, within the bounds.
+
+    parents: rows of the parents in the population. centre (p,): working space.
+    """
     words = load(population.generator)
     weighted_centre(population.genes, population.fitness, parents, rules.inverse, centre)
     for i in range(len(children)):
@@ -106,7 +115,10 @@ def breed(rules: Rules, population: Population, parents: Order, centre: Genes, c
 
 @compiled_within
 def survive(population: Population, places: Order, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
-    """Put the best of the family into the parents' places, the best first; errors is used up."""
+    """Put the best chromosomes of the family into the parents' rows of the population, the best first.
+
+    places: the parents' rows. genes, errors: the family; `errors` is overwritten.
+    """
     for i in range(places.size):
         best = 0
         for j in range(1, errors.size):

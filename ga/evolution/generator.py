@@ -1,7 +1,7 @@
-"""Random numbers for the compiled loops: xoshiro256++ (Blackman and Vigna 2019), one state for each trial.
+"""Random numbers for the compiled loops: xoshiro256++ (Blackman and Vigna 2019), with one state for each trial.
 
-A state is an array of four unsigned 64-bit words, part of a search's state, so a search that is cut short goes on with
-the very next number. Within a loop the words are a tuple that each draw takes and gives back: it stays in the
+A state is an array of four unsigned 64-bit words. It is a part of a search's state, so a resumed search continues with
+the very next number. In a loop the words are a tuple that each draw takes and returns, so that they stay in the
 processor's registers.
 """
 
@@ -23,9 +23,9 @@ _ALL = 2**64 - 1
 
 
 def seeded(seed: int, trial: int) -> State:
-    """The state (4,) of one trial's generator, independent of every other trial's.
+    """Return the state (4,) of one trial's generator, independent of every other trial's.
 
-    Raises ValueError where the seed is negative.
+    Raises ValueError if the seed is negative.
     """
     if seed < 0:
         raise ValueError(f"seed {seed} is negative: give 0 or more")
@@ -52,7 +52,7 @@ def uniforms(state: State, count: int) -> NDArray[np.float64]:
 
 @compiled_within
 def load(state: State) -> Words:
-    """The words of a state (4,)."""
+    """Return the words of a state (4,)."""
     return state[0], state[1], state[2], state[3]
 
 
@@ -64,7 +64,7 @@ def store(words: Words, state: State) -> None:
 
 @compiled_within
 def draw(words: Words) -> tuple[np.uint64, Words]:
-    """The next 64 random bits, and the words after them."""
+    """Return the next 64 random bits, and the words after these."""
     a, b, c, d = words
     total = a + d
     bits: np.uint64 = ((total << _23) | (total >> _41)) + a
@@ -80,13 +80,16 @@ def draw(words: Words) -> tuple[np.uint64, Words]:
 
 @compiled_inline
 def uniform(words: Words) -> tuple[float, Words]:
-    """A number in [0, 1), a multiple of 2^-53."""
+    """Return a random number in [0, 1), a multiple of 2^-53, and the words after it."""
     bits, words = draw(words)
     return float(bits >> _11) * _TO_UNIT, words
 
 
 @compiled_inline
 def below(words: Words, count: int) -> tuple[int, Words]:
-    """A whole number in 0 ... count - 1, for counts far below 2^32 (no rejection: the bias is count / 2^32)."""
+    """Return a random whole number in 0 ... count - 1, and the words after it.
+
+    count: far below 2^32, because without rejection the bias is count / 2^32.
+    """
     bits, words = draw(words)
     return np.int64(((bits >> _32) * np.uint64(count)) >> _32), words  # type: ignore[return-value]  # int in numba

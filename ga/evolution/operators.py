@@ -1,9 +1,10 @@
-"""The operators of the search: the paper's, with their equation, and the ensemble crossover of the `default` preset.
+"""The operators of the search: the paper's, with the number of their equation, and the ensemble crossover of the
+`default` preset.
 
-A chromosome is a row of genes (p,), one gene a parameter in SI units. A population is (population, p). `order` is a
-permutation of the population's rows, shuffled in place as far as it is needed: its first entries are the chromosomes
-drawn. What draws at random takes the words of a generator and gives back those after it. Compiled, because they run up
-to 2e8 times a trial.
+A chromosome is a row of genes (p,), one gene for each parameter, SI. A population is an array (population, p). `order`
+is a permutation of the population's rows, of which only the front is shuffled, in place: its first entries are the
+chromosomes drawn. Random functions take the words of a generator and return the words after the draw. All are compiled,
+because they run up to 2e8 times a trial.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Genes: TypeAlias = NDArray[np.float64]
 Order: TypeAlias = NDArray[np.int64]
 
 REDRAWS = 20
-"""How often a child outside the bounds is drawn anew before its genes are set on the bound."""
+"""The number of times that a child outside the bounds is drawn again before its genes are set to the bounds."""
 
 
 @compiled_inline
@@ -33,7 +34,7 @@ def copy(source: Genes, target: Genes) -> None:
 
 @compiled_within
 def sample_distinct(order: Order, count: int, words: Words) -> Words:
-    """Draw `count` different chromosomes, each with the same probability, into the front of `order`."""
+    """Draw `count` different chromosomes, each with the same probability: put their rows into the front of `order`."""
     for i in range(count):
         j, words = below(words, order.size - i)
         order[i], order[i + j] = order[i + j], order[i]
@@ -42,10 +43,11 @@ def sample_distinct(order: Order, count: int, words: Words) -> Words:
 
 @compiled_inline
 def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bool, words: Words) -> tuple[int, Words]:
-    """The winner, a row of the population, of `size` different chromosomes drawn at random.
+    """Return the winner, a row of the population, among `size` different chromosomes drawn at random.
 
     The paper, "Selection": three chromosomes, equal probabilities, "the chromosome with larger fitness" wins. Its
-    fitness is an error, which is to be minimised: `larger` takes the sentence at its word, else the smaller error wins.
+    fitness is an error, which is to be minimised. larger: whether the larger error wins, as the paper's sentence says;
+    else the smaller error wins.
     """
     words = sample_distinct(order, size, words)
     winner = order[0]
@@ -59,7 +61,7 @@ def tournament(fitness: NDArray[np.float64], order: Order, size: int, larger: bo
 
 @compiled_inline
 def crossover_share(first_error: float, second_error: float, inverse: bool) -> float:
-    """The first parent's share of the child in equation 6: f1/(f1 + f2), or with 1/f for f where `inverse`."""
+    """Return the first parent's weight in equation 6: f1/(f1 + f2), or with 1/f in place of f if `inverse`."""
     total = first_error + second_error
     if not total > 0.0:
         return 0.5
@@ -68,14 +70,18 @@ def crossover_share(first_error: float, second_error: float, inverse: bool) -> f
 
 @compiled_inline
 def arithmetic_crossover(first: Genes, second: Genes, share: float, child: Genes) -> None:
-    """Equation 6: each gene of the child is the weighted mean of its parents' genes."""
+    """Fill `child` by equation 6: each gene is the weighted mean of its parents' genes. share: the weight of the first
+    parent.
+    """
     for k in range(child.size):
         child[k] = second[k] + share * (first[k] - second[k])
 
 
 @compiled_within
 def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Words]:
-    """The paper, "Mutation": one gene, chosen at random, is redrawn uniformly in its bounds. Returns which."""
+    """Redraw one gene of the child, chosen at random, uniformly in its bounds (the paper, "Mutation"). Return the
+    gene's index.
+    """
     k, words = below(words, child.size)
     part, words = uniform(words)
     child[k] = low[k] + (high[k] - low[k]) * part
@@ -84,7 +90,9 @@ def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Wo
 
 @compiled_within
 def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, inverse: bool, centre: Genes) -> None:
-    """Equation 6 for any number of parents: their mean, weighted by the error or by its inverse."""
+    """Fill `centre` by equation 6 for any number of parents: their mean, weighted by the error or (inverse) by
+    1/error.
+    """
     total = 0.0
     for k in range(centre.size):
         centre[k] = 0.0
@@ -100,11 +108,12 @@ def weighted_centre(genes: Genes, fitness: NDArray[np.float64], parents: Order, 
 
 @compiled_within
 def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes, words: Words) -> Words:
-    """Move the child from the parents' weighted centre, spread as the parents are (Kobayashi 2009, REX).
+    """Move the child from the parents' weighted centre by a random deviation with the parents' spread (Kobayashi 2009,
+    REX).
 
     The deviation of every parent from their plain mean is added with an independent uniform factor of variance
-    reach^2/parents. The child's covariance is then that of the parents, whatever the scale of the genes or the
-    correlation between them; equation 6 alone can only contract. `reach` above 1 widens it.
+    reach^2/parents. For `reach` 1 the child's covariance is then that of the parents, whatever the scale of the genes
+    or the correlation between them; a larger `reach` widens it. Equation 6 alone can only contract.
     """
     count = parents.size
     half_range = reach * math.sqrt(3.0 / count)
@@ -124,7 +133,7 @@ def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes,
 
 @compiled_inline
 def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
-    """Whether every gene is within its bounds."""
+    """Return whether every gene is within its bounds."""
     for k in range(child.size):  # noqa: SIM110 - numba compiles no generator expression
         if not low[k] <= child[k] <= high[k]:
             return False
@@ -133,6 +142,6 @@ def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
 
 @compiled_inline
 def clamp(child: Genes, low: Genes, high: Genes) -> None:
-    """Set every gene that is out of bounds on the bound it passed."""
+    """Set every gene that is beyond a bound to that bound."""
     for k in range(child.size):
         child[k] = min(max(child[k], low[k]), high[k])

@@ -1,4 +1,4 @@
-"""The population of a search, and the rules of the search as the compiled loops read them."""
+"""The population of a search, and the rules of the search in the form that the compiled loops use."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from ga.evolution.operators import REDRAWS, Genes, Order, copy
 from ga.start import Start
 
 ALWAYS, IF_BETTER, OLDEST, RANDOM = range(4)
-"""Which individual the offspring replaces: the worst, always or only if it is better; the oldest; any."""
+"""The individual that the offspring replaces: the worst one, always or only if the offspring is better; the oldest one;
+a random one.
+"""
 
 
 class Population(NamedTuple):
-    """The whole state of a search: saved and restored, the search continues as if it had not stopped.
+    """The whole state of a search. A search whose state is saved and restored continues as if it had not stopped.
 
-    genes: (population, p). fitness: (population,), N m. order: (population,), see ga.evolution.operators.
-    generator: (4,). best: (p,), the best chromosome ever, and best_fitness: (1,), its fitness, N m.
-    progress: (3,), generations done, evaluations made, and 1 once the stop rule has ended the search.
+    genes: (population, p). fitness: (population,), N m. order: (population,), see ga.evolution.operators. generator:
+    (4,), the state of the random generator. best: (p,), the best chromosome ever. best_fitness: (1,), its fitness, N m.
+    progress: (3,), the number of generations, the number of evaluations, and 1 once the stop rule has ended the search.
     """
 
     genes: NDArray[np.float64]
@@ -33,17 +35,17 @@ class Population(NamedTuple):
     progress: NDArray[np.int64]
 
     def copied(self) -> Population:
-        """Return a copy in arrays of its own."""
+        """Return a copy of the population that shares no arrays with it."""
         return Population(*(part.copy() for part in self))  # type: ignore[arg-type]  # each as its field
 
     @property
     def generation(self) -> int:
-        """Generations done."""
+        """The number of generations so far."""
         return int(self.progress[0])
 
     @property
     def evaluations(self) -> int:
-        """Chromosomes evaluated, the initial population included."""
+        """The number of chromosomes evaluated so far, including the first population."""
         return int(self.progress[1])
 
     @property
@@ -53,10 +55,10 @@ class Population(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """Bounds and settings as numbers.
+    """Bounds and settings as numbers for the compiled loops.
 
-    rejects: whether a child that is known to be too bad to survive may stay unevaluated. floor: the smallest fitness, N
-    m, that relative comparisons divide by. tolerance: -1 for none.
+    rejects: whether a child that cannot survive may stay unevaluated. floor: the smallest divisor, N m, in relative
+    comparisons of fitness. tolerance: the tolerance of the stop rule, -1 for none.
     """
 
     low: Genes
@@ -73,9 +75,10 @@ class Rules(NamedTuple):
 
 
 class Record(NamedTuple):
-    """The best fitness so far, fitness (m,), N m, at generations (m + 1,), which rise; the last is never reached.
+    """The best fitness at selected generations.
 
-    NaN for generations not reached yet.
+    generation (m + 1,): these generations, rising; the last one is never reached. fitness (m,): the best fitness until
+    each, N m, NaN for generations not reached yet.
     """
 
     generation: NDArray[np.int64]
@@ -83,13 +86,13 @@ class Record(NamedTuple):
 
 
 def unrecorded() -> Record:
-    """Return an empty record, for a search that records no generation."""
+    """Return a record without entries, for a search whose best fitness is not recorded."""
     return Record(np.full(1, -1), np.empty(0))
 
 
 @compiled_within
 def due_after(record: Record, population: Population) -> int:
-    """Return the index of the record's first entry for a future generation."""
+    """Return the index of the first entry of the record that is for a future generation."""
     due = 0
     while due < record.fitness.size and record.generation[due] <= population.progress[0]:
         due += 1
@@ -98,7 +101,9 @@ def due_after(record: Record, population: Population) -> int:
 
 @compiled_within
 def recorded(record: Record, due: int, population: Population) -> int:
-    """Record the best fitness if this generation is due; return the index of the next due entry."""
+    """Record the best fitness if entry `due` of the record is for this generation; return the index of the next entry
+    to fill.
+    """
     if population.progress[0] == record.generation[due]:
         record.fitness[due] = population.best_fitness[0]
         due += 1
@@ -106,7 +111,7 @@ def recorded(record: Record, due: int, population: Population) -> int:
 
 
 def scatter(rules: Rules, population: Population) -> None:
-    """The paper, "Initial Population": every gene uniform at random in its bounds."""
+    """Draw every gene uniformly in its bounds (the paper, "Initial Population")."""
     parts = uniforms(population.generator, population.genes.size).reshape(population.genes.shape)
     population.genes[:] = rules.low + (rules.high - rules.low) * parts
 
@@ -125,7 +130,9 @@ def scatter_around(rules: Rules, start: Start, population: Population) -> None:
 
 @compiled_within
 def remember(population: Population, child: Genes, error: float) -> None:
-    """Store the best chromosome of the whole search: in some readings of the paper the population can lose it."""
+    """Store the child if it is the best chromosome of the whole search: in some readings of the paper the population
+    can lose it.
+    """
     if error < population.best_fitness[0]:
         population.best_fitness[0] = error
         copy(child, population.best)
@@ -133,7 +140,9 @@ def remember(population: Population, child: Genes, error: float) -> None:
 
 @compiled_within
 def has_settled(rules: Rules, population: Population) -> bool:
-    """Whether the fitness of the population spreads over no more than the tolerance."""
+    """Return whether the stop rule ends the search: the population's fitness spreads over no more than the
+    tolerance.
+    """
     if rules.tolerance < 0.0:
         return False
     lowest, highest = np.inf, 0.0

@@ -1,10 +1,10 @@
-"""The paper's steady-state scheme, Algorithm 1: one child a generation.
+"""The paper's steady-state scheme, Algorithm 1: one child in each generation.
 
-A child that is known to be too bad to survive is not evaluated. After the first thousand generations that is nearly
-every mutant, whose gene is redrawn uniformly in wide bounds. The fitness f is convex, so f(x) >= f(a) + slope(a) . (x -
-a) for any a, a tangent. Each rejected mutant that was evaluated leaves its tangent, for the gene that was redrawn and
-the side of the redraw; the next mutants beyond it cost a few multiplications. Rejecting a child must not change the
-search by a bit:
+A child that cannot survive is not evaluated. After the first thousand generations nearly every mutant is such a child,
+because its gene is redrawn uniformly in wide bounds. The fitness f is convex, so f(x) >= f(a) + slope(a) . (x - a) for
+any a: a tangent is a lower bound. If a mutant was evaluated and rejected, the tangent at the mutant is stored, for the
+gene that was redrawn and the side of the redraw; the next mutants that this tangent rejects cost a few multiplications.
+Rejecting a child must not change the search by a bit:
 
 - If only a better child replaces the worst, a child no better than the worst has no effect.
 - If the child always replaces the worst, and the smallest error wins a tournament of two or more, a child worse than
@@ -39,7 +39,9 @@ Tangents = NDArray[np.float64]
 
 
 def tangents_of(p: int) -> Tangents:
-    """Room for two tangents a gene, (2 p, 2 p + 1): each the fitness, the point and the slope; zero bounds nothing."""
+    """Return memory for two tangents for each gene, (2 p, 2 p + 1): fitness, point and slope. A tangent of zeros
+    rejects nothing.
+    """
     return np.zeros((2 * p, 2 * p + 1))
 
 
@@ -54,7 +56,10 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
     record: Record,
     generations: int,
 ) -> None:
-    """Continue for some generations. tangents: from `tangents_of` or an earlier call; child: (p,), working space."""
+    """Continue the search for some generations.
+
+    tangents: from `tangents_of` or from an earlier call. child (p,): working space.
+    """
     due = due_after(record, population)
     genes, fitness, order = population.genes, population.fitness, population.order
     words = load(population.generator)
@@ -96,7 +101,7 @@ def steady_state(  # noqa: PLR0917 - the compiled loops take their parts by posi
 
 @compiled_inline
 def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
-    """Return the row of the largest error, the first of equal ones, and the largest error of the other rows."""
+    """Return the row of the largest error (the first of equal ones), and the largest error of the other rows."""
     worst, second = 0, -np.inf
     for i in range(1, fitness.size):
         if fitness[i] > fitness[worst]:
@@ -119,8 +124,9 @@ def _place(rules: Rules, population: Population, worst: int, words: Words) -> tu
 
 @compiled_inline
 def _is_hopeless(tangents: Tangents, gene: int, centre: Genes, child: Genes, limit: float) -> bool:
-    """Return whether the tangent for the redrawn gene, on the child's side of the centre, puts the child above the
-    limit.
+    """Return whether a tangent proves that the fitness of the child exceeds the limit.
+
+    The tangent is the one for the redrawn gene and for the child's side of the centre.
     """
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
@@ -142,7 +148,7 @@ def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     child: Genes,
     limit: float,
 ) -> None:
-    """Store the tangent at the child as that for its gene and side."""
+    """Store the tangent at the child for the redrawn gene and for the child's side of the centre."""
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
     for k in range(p):

@@ -1,1 +1,1 @@
-"""The fitness: mean absolute torque error, evaluated on many rows in little time."""
+"""The fitness: mean absolute torque error, computed quickly for many rows."""

@@ -1,12 +1,13 @@
-"""The sub-linear engine: a tree of cells, grown where the search looks, that knows the sign of most residuals.
+"""The sub-linear engine: a tree of cells in parameter space, in each of which the sign of most residuals is known.
 
 The fitness is convex and piecewise linear. Inside a cell most residuals torque_i - columns_i . genes keep their sign
-and collapse into p + 1 sums; only the undecided ones, whose zero plane crosses the cell, are looked at one by one. A
-cell is split, 4^p ways at a time, until 16 or fewer are undecided, so a chromosome costs what its leaf costs, not n.
-Rows that are alike are decided and listed in groups (`ga.fitness.row_groups`), so that a split does not cost n either.
+and are replaced by p + 1 sums; only the undecided ones, whose zero plane crosses the cell, are computed one by one.
+Cells are grown where the search goes. A cell is split, 4^p ways at a time, until 16 or fewer residuals are undecided,
+so the cost of a chromosome depends on its leaf, not on n. Similar rows are decided and listed in groups
+(`ga.fitness.row_groups`), so that the cost of a split does not depend on n either.
 
-The numbers in a cell depend on the cell alone, never on the way the search came: the tree is a cache of a pure
-function. It may be thrown away at any time, which is what bounds its memory, and whoever asks gets the same bits.
+The numbers in a cell depend on the cell alone, never on the path of the search: the tree is a cache of a pure function.
+It may be deleted at any time, which bounds its memory, and the results stay the same to the last bit.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from ga.fitness.splitting import add_carrying, blocks_of, child_of, item_of, res
 
 @compiled_inline
 def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
-    """Return equation 5 for one chromosome (p,), N m; infinite if it was found to exceed the limit."""
+    """Return equation 5 for one chromosome (p,), N m; infinite if the error was found to exceed the limit."""
     node = _node_of(tree, genes, limit)
     if _is_on_the_way(tree, node):
         return np.inf
@@ -79,15 +80,16 @@ def _leaf_error(tree: Tree, node: int) -> float:
 
 @compiled_inline
 def _is_on_the_way(tree: Tree, node: int) -> bool:
-    """Return whether a cell is still to be split. The root is returned for chromosomes out of bounds."""
+    """Return whether a cell must still be split. False for the root, which stands for chromosomes out of bounds."""
     return node > 0 and tree.nodes[node, KIND] == INNER
 
 
 @compiled_no_refcount
 def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> float:
-    """Return a plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+    """Return the height, N m, at a chromosome (p,) of a plane below the fitness; its slope (p,) is written to `slope`.
 
-    It touches the fitness there, unless that exceeds the limit; then any plane above the limit is returned.
+    The plane touches the fitness at the chromosome, unless the fitness exceeds the limit; then any plane above the
+    limit is returned.
     """
     node = _node_of(tree, genes, limit)
     height = tree.sums[node, 0]
@@ -136,9 +138,9 @@ def _list_error(tree: Tree, node: int) -> float:
 
 @compiled_within
 def _node_of(tree: Tree, genes: Vector, limit: float) -> int:
-    """Return the leaf of a chromosome, grown if necessary; the root if it is out of bounds. Sets place, genes - origin.
+    """Return the leaf of a chromosome, grown if necessary; the root if the chromosome is out of bounds.
 
-    Growing ends early in a cell whose settled rows alone exceed the limit.
+    Sets the tree's `place` to genes - origin. Growing ends early in a cell whose decided rows alone exceed the limit.
     """
     inside = True
     scale = 2.0**BITS / tree.width
@@ -190,7 +192,7 @@ def _descend(tree: Tree, limit: float) -> int:
 
 @compiled_inline
 def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
-    """Return whether the rows whose sign is known in a cell make an error above the limit, without the others."""
+    """Return whether the rows whose sign is known in a cell alone make an error above the limit."""
     bound = extent = tree.sums[node, 0]
     for k in range(tree.place.size):
         rise = -tree.sums[node, k + 1] * tree.place[k]

@@ -1,4 +1,4 @@
-"""The cells of the sub-linear engine: the coordinates in which they are cubes, and the memory in which they are grown.
+"""The cells of the sub-linear engine: the coordinates in which they are cubes, and their memory.
 
 The cells are cubes of v = forward . (genes - origin). In these coordinates the columns are orthogonal, so that no
 direction needs finer cells than another. `ga.fitness.splitting` grows the cells.
@@ -29,7 +29,9 @@ LANES: Final = 8
 """The number of rows of a leaf that are summed in parallel."""
 
 BITS: Final = 48
-"""Binary digits of a place in the root cube; with more, doubles are too coarse to separate two sides."""
+"""The binary digits of a coordinate in the root cube; with more digits, doubles are too coarse to separate two
+sides.
+"""
 
 RECENT: Final = 8
 """The number of recently used leaves that are tried first."""
@@ -38,32 +40,38 @@ _FINEST: Final = 1e-6
 """The smallest weight of a direction, relative to the largest; collinear columns have a direction of zero weight."""
 
 _LISTED: Final = 1 << 26
-"""Places for undecided rows and groups, 256 MiB; more are provided only if needed."""
+"""The number of undecided rows and groups for which memory is provided (256 MiB); the memory is larger only if
+needed.
+"""
 
 _NODES: Final = 1 << 16
 
 _WAITING: Final = 256  # groups: eight of each level
 
 PARENT, CODE, SHIFT, START, COUNT, ROWS, KIND, CELL = range(8)
-"""Columns of `nodes`: COUNT rows and groups are listed from START on, with ROWS rows in all; from CELL on come the p
-coordinates of the cell in units of its own size."""
+"""Columns of `nodes`. A cell's list of undecided rows and groups begins at START and has COUNT entries with ROWS rows
+in all. From CELL on follow the p coordinates of the cell, in units of its own size.
+"""
 
 INNER, LEAVES, LIST = range(3)
-"""Kinds: to be split; rows copied to `leaves`; too small to split, rows in `undecided`."""
+"""Kinds of cells: INNER must be split; LEAVES has its rows copied to `leaves`; LIST is too small to split, and its rows
+are in `undecided`.
+"""
 
 USED_NODES, USED_UNDECIDED, USED_LEAVES, NEXT_RECENT = range(4)
-"""Entries of `used`."""
+"""Entries of `used`: the numbers of used nodes, undecided entries and leaf blocks, and the next entry of `recent`."""
 
 
 class Tree(NamedTuple):
-    """The data, and the cells grown so far. One thread at a time may use it; `another` makes one over the same data.
+    """The samples, and the cells grown so far. Only one thread at a time may use a tree; `another` makes a tree over
+    the same samples.
 
-    rows: (n, p + 2), the residual at the origin, the columns, and how fast the residual can change as v moves in the
-    largest of its coordinates; rows that are alike stand together. groups (m, 2 p + 4) and contents (m, 4): of these,
-    as `ga.fitness.row_groups.group` returns them. length: how many samples the mean is over. floor: N m, the least
-    fitness that relative comparisons divide by. origin (p,), forward and backward (p, p), its inverse: the change of
-    coordinates. corner (p,) and width: the root cube. blur: by how much cells overlap, against rounding.
-    The rest is working space.
+    rows (n, p + 2): the residual at the origin, the columns, and how fast the residual can change as v moves in the
+    largest of its coordinates; similar rows are neighbours. groups (m, 2 p + 4) and contents (m, 4): groups of these
+    rows, as `ga.fitness.row_groups.group` returns them. length: the number of samples that the mean is over. floor: the
+    smallest divisor, N m, in relative comparisons of fitness. origin (p,), forward and its inverse backward (p, p): the
+    change of coordinates. corner (p,) and width: the root cube. blur: the width by which cells overlap, because of
+    rounding. The other fields are the cells' memory and working space.
     """
 
     rows: Matrix
@@ -96,9 +104,9 @@ class Tree(NamedTuple):
 
 
 def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
-    """A tree of one cell, the root, for columns (n, p) and torque (n,), N m, within the bounds.
+    """Return a tree with one cell, the root, for columns (n, p) and torque (n,), N m, within the bounds.
 
-    Outside them every sample is looked at. Raises ValueError as `check` does.
+    For chromosomes outside the bounds every sample is computed. Raises ValueError as `check` does.
     """
     check(columns, torque)
     origin = _near_solution(columns, torque)
@@ -130,12 +138,12 @@ def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
 
 
 def another(tree: Tree) -> Tree:
-    """A tree over the same samples for another thread."""
+    """Return a tree over the same samples for another thread."""
     return tree._replace(**_space(len(tree.rows), len(tree.origin)))
 
 
 def _space(n: int, p: int) -> dict[str, Any]:
-    """The working space of a tree over n samples of p columns, with the root alone."""
+    """Return the memory and working space of a tree over n samples of p columns, with only the root cell."""
     nodes = np.zeros((_NODES, CELL + p), np.int64)
     nodes[0, SHIFT], nodes[0, START], nodes[0, COUNT], nodes[0, ROWS] = BITS, -1, 1, n  # a start of -1: the last group
     return {
@@ -160,9 +168,10 @@ def _space(n: int, p: int) -> dict[str, Any]:
 
 
 def _near_solution(columns: Matrix, torque: Vector) -> Vector:
-    """Return genes (p,) near the optimum: residuals are stored relative to them, so that large sums do not cancel.
+    """Return genes (p,) near the optimum. Residuals are stored relative to these genes, so that large sums do not
+    cancel.
 
-    They are rounded to single precision, so that libraries that differ in the last bits give the same genes.
+    The genes are rounded to single precision, so that libraries that differ in the last bits give the same genes.
     """
     scale = np.abs(columns).max(axis=0)
     scale[scale == 0.0] = 1.0
@@ -173,7 +182,7 @@ def _near_solution(columns: Matrix, torque: Vector) -> Vector:
 def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
     """Return the triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1.
 
-    It is rounded to single precision: any similar matrix serves, but it must be equal everywhere.
+    The matrix is rounded to single precision: any similar matrix serves, but it must be equal on every machine.
     """
     p = columns.shape[1]
     live = np.flatnonzero(np.abs(columns).max(axis=0) > 0.0)

@@ -1,10 +1,11 @@
-"""The fitness of a chromosome, equations 3 to 5, behind one contract: the mean absolute error of the torque, N m.
+"""The fitness of a chromosome, equations 3 to 5, from either of two engines: the mean absolute error of the torque, N
+m.
 
     fitness(genes) = 1/n * sum over i of |torque_i - columns_i . genes|
 
-Two engines give it. `ga.fitness.dense` looks at every sample and is ready at once; `ga.fitness.cell_tree` learns which
-residuals have which sign where, and then costs the same for a thousand samples and for ten million. They agree to
-rounding. The compiled loops take both, one of them None: what is not used is not compiled.
+`ga.fitness.dense` computes every sample and is ready at once. `ga.fitness.cell_tree` learns the signs of the residuals
+in each region, and then costs the same for a thousand samples and for ten million. Both agree to rounding. The compiled
+loops take both as arguments, one of which is None: code for None is not compiled.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ if TYPE_CHECKING:
 Engine: TypeAlias = Samples | Tree
 
 WORTHWHILE: Final = 1_000_000_000
-"""Residuals in one search from which the cells save more time than their first compilation takes."""
+"""The number of residuals in one search from which the cell tree saves more time than its first compilation takes."""
 
 REPAID: Final = 50_000
-"""Evaluations in one search from which the cells save more time than growing them takes, for any number of samples.
+"""The number of evaluations in one search from which the cell tree saves more time than growing it takes, for any
+number of samples.
 
-A search of the `default` preset ends before; its children spread everywhere in a cloud that shrinks as fast as the
+A search of the `default` preset ends earlier; its children spread everywhere in a cloud that shrinks as fast as the
 cells.
 """
 
@@ -44,11 +46,10 @@ def engine_for(
     evaluations: int,
     start: Start | None = None,
 ) -> Engine:
-    """Return the engine for columns (n, p) and torque (n,), N m, that suits this number of evaluations within the
-    bounds.
+    """Return the faster engine for columns (n, p), torque (n,), N m, and this number of evaluations within the bounds.
 
-    start: the region in which all of them begin. Raises ValueError if the data are not finite, not of equal length or
-    empty.
+    start: the region in which all evaluations begin. Raises ValueError if the data are not finite, not of equal length
+    or empty.
     """
     if start is not None:
         return collapse(columns, torque, start)
@@ -58,13 +59,13 @@ def engine_for(
 
 
 def fork(engine: Engine) -> Engine:
-    """An engine over the same data for another thread: each has working space that it alone may use."""
+    """Return an engine over the same data for another thread, with working space of its own."""
     return shared(engine) if isinstance(engine, Samples) else another(engine)
 
 
 @compiled_within
 def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float) -> float:
-    """Return equation 5 for one chromosome (p,), N m; it may return infinity if that exceeds the limit."""
+    """Return equation 5 for one chromosome (p,), N m; the result may be infinite if the error exceeds the limit."""
     if samples is not None:
         return dense_error(samples, genes, limit)
     if tree is not None:
@@ -76,10 +77,10 @@ def error_of(samples: Samples | None, tree: Tree | None, genes: NDArray[np.float
 def tangent_of(
     samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], limit: float, slope: NDArray[np.float64]
 ) -> float:
-    """Return a plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+    """Return the height, N m, at a chromosome (p,) of a plane below the fitness; its slope (p,) is written to `slope`.
 
-    It touches the fitness there, unless that exceeds the limit: then the plane exceeds it too, but may lie below the
-    fitness.
+    The plane touches the fitness at the chromosome. If the fitness exceeds the limit, the plane exceeds the limit too,
+    but may lie below the fitness.
     """
     if samples is not None:
         return dense_tangent(samples, genes, slope)
@@ -92,7 +93,7 @@ def tangent_of(
 def errors_of(
     samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], errors: NDArray[np.float64]
 ) -> None:
-    """Equation 5 for chromosomes (m, p), N m, written to `errors` (m,)."""
+    """Compute equation 5 for chromosomes (m, p), N m, and write the results to `errors` (m,)."""
     for i in range(errors.size):
         errors[i] = error_of(samples, tree, genes[i], np.inf)
 
@@ -103,12 +104,12 @@ def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
 
 
 def columns_of(engine: Engine) -> int:
-    """p, the number of parameters."""
+    """Return p, the number of parameters."""
     return engine.blocks.shape[1] - 1 if isinstance(engine, Samples) else engine.origin.size
 
 
 def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
-    """The fitness, N m, of one chromosome (p,)."""
+    """Return the fitness, N m, of one chromosome (p,)."""
     error = np.empty(1)
     errors_of(*parts(engine), np.ascontiguousarray(genes)[None], error)
     return float(error[0])

@@ -1,9 +1,10 @@
-"""The rows of a cell tree in groups of similar rows, and these in larger groups: most are decided as a whole.
+"""Arrange the rows of a cell tree in groups of similar rows, and these in larger groups: most signs are decided for a
+whole group.
 
 Rows are similar if their residuals at the origin and their columns are: then their residuals are similar everywhere
-nearby. A group has one sign throughout a cell if the mean of its residuals is further from zero than any of them can be
-from that mean. The cost of growing a cell then depends on the boundary between the signs, and little on the number of
-rows. The idea is that of a ball tree (Omohundro 1989).
+nearby. All rows of a group have the same sign throughout a cell if the mean of their residuals is further from zero
+than any of them can be from that mean. The cost of growing a cell then depends on the boundary between the signs, and
+little on the number of rows. The idea is that of a ball tree (Omohundro 1989).
 """
 
 from __future__ import annotations
@@ -22,19 +23,20 @@ if TYPE_CHECKING:
     Whole = NDArray[np.int64]
 
 FAN: Final = 8
-"""Groups in a group, and rows in the smallest."""
+"""The number of groups in a larger group, and of rows in a smallest group."""
 
 FIRST_PART, PARTS, FIRST_ROW, END_ROW = range(4)
-"""Columns of `contents`."""
+"""Columns of `contents`; see `group`."""
 
 _LEVELS: Final = 64  # ranges that wait to be divided: one a level
 
 
 def arranged(residuals: Vector, along: Matrix) -> Whole:
-    """Return the order (n,) in which similar rows are adjacent, in ranges that `group` takes.
+    """Return an order (n,) of the rows in which similar rows are neighbours, so that `group` can use ranges of rows as
+    groups.
 
     residuals (n,): N m, at the origin. along (n, p): the columns in the coordinates of the cells, of mean square one.
-    The mean residual is the unit of the residuals: a fit is searched in cells of that size.
+    The mean residual is the unit of the residuals, because a fit is searched in cells of that size.
     """
     size = float(np.mean(np.abs(residuals))) or 1.0
     points = np.column_stack([residuals / size, along, np.arange(len(along), dtype=np.float64)])
@@ -43,12 +45,13 @@ def arranged(residuals: Vector, along: Matrix) -> Whole:
 
 
 def group(rows: Matrix, backward: Matrix) -> tuple[Matrix, NDArray[np.int32]]:
-    """Return the groups of arranged rows (n, p + 2) of a tree, each after those it holds, the last one of all rows.
+    """Return the groups of arranged rows (n, p + 2) of a tree; each group follows its parts, and the last group has all
+    rows.
 
-    A row is known by its number, a group by n and its own.
-    values: (m, 2 p + 4), the sum of the rows, how far their residual at the origin and their columns in the coordinates
-    of the cells are from the mean, and the least and the largest of their speeds. contents: (m, 4), the first of its
-    parts and their number, its first row and the one behind its last.
+    Rows are numbered from 0, groups from n on. The first result, values (m, 2 p + 4), has for each group the sum of the
+    rows, the largest deviations from the group's mean of the residual at the origin and of the columns in the
+    coordinates of the cells, and the smallest and the largest speed. The second result, contents (m, 4), has the first
+    part and the number of parts, the first row and the row after the last.
     """
     n, p = len(rows), rows.shape[1] - 2
     counts = [-(-n // FAN)]
@@ -69,10 +72,10 @@ def group(rows: Matrix, backward: Matrix) -> tuple[Matrix, NDArray[np.int32]]:
 
 @compiled_no_refcount
 def sort(points: Matrix, waiting: Whole) -> None:
-    """Order points (n, d + 1), of which the last number is carried along, by halves of the direction they are longest
-    in.
+    """Order points (n, d + 1) by repeatedly halving them along the direction in which they are longest.
 
-    Ranges are cut at multiples of a power of FAN, so that every group is a range. waiting: working space.
+    The last number of a point is only carried along. Ranges are cut at multiples of a power of FAN, so that every group
+    is a range. waiting: working space.
     """
     waiting[0, 0], waiting[0, 1], left = 0, len(points), 1
     while left > 0:
@@ -93,7 +96,7 @@ def sort(points: Matrix, waiting: Whole) -> None:
 
 @compiled_no_refcount
 def _longest(points: Matrix, begin: int, end: int) -> int:
-    """The direction in which the points of a range are furthest apart."""
+    """Return the direction in which the points from `begin` to `end` are furthest apart."""
     longest, found = -1.0, 0
     for k in range(points.shape[1] - 1):
         low = high = points[begin, k]
@@ -106,7 +109,9 @@ def _longest(points: Matrix, begin: int, end: int) -> int:
 
 @compiled_no_refcount
 def _part(points: Matrix, begin: int, end: int, middle: int, k: int) -> None:
-    """Bring the points with the smallest number k of a range before `middle` (Hoare 1961)."""
+    """Bring the points with the smallest coordinate k among those from `begin` to `end` before `middle` (Hoare
+    1961).
+    """
     low, high = begin, end - 1
     while low < high:
         pivot, i, j = points[(low + high) // 2, k], low, high
@@ -128,7 +133,7 @@ def _part(points: Matrix, begin: int, end: int, middle: int, k: int) -> None:
 
 @compiled
 def measure(rows: Matrix, backward: Matrix, contents: NDArray[np.int32], values: Matrix) -> None:
-    """Fill in the values of groups."""
+    """Fill in the `values` of groups with these `contents`; see `group`."""
     n, p = rows.shape[0], rows.shape[1] - 2
     mean = np.empty(p + 1)
     for g in range(len(contents)):

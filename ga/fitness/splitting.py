@@ -1,4 +1,4 @@
-"""The growth of a cell: the part that a search enters becomes a cell of its own, with its undecided rows."""
+"""Grow the cells of a tree: the part of a cell that a search enters becomes a cell with its own undecided rows."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ _RESOLVED: Final = 500
 """The fraction of a cell's rows below which a partly decided group is listed as a whole."""
 
 _STEP: Final = 2
-"""The binary digits by which a cell is smaller than its parent, in each direction."""
+"""The number of binary digits by which a cell is smaller than its parent, in each direction."""
 
 
 @compiled_inline
 def blocks_of(tree: Tree, node: int) -> int:
-    """The blocks of eight rows that a leaf has."""
+    """Return the number of blocks of eight rows that a leaf has."""
     return (tree.nodes[node, COUNT] + LANES - 1) // LANES  # type: ignore[no-any-return]  # int in numba
 
 
 @compiled_inline
 def item_of(tree: Tree, node: int, i: int) -> int:
-    """The row or group that is number i in a cell's list."""
+    """Return the row or group at position i in a cell's list."""
     start = tree.nodes[node, START]
     return len(tree.rows) + len(tree.contents) - 1 if start < 0 else tree.undecided[start + i]
 
 
 @compiled_inline
 def rows_of(tree: Tree, item: int) -> tuple[int, int]:
-    """The first row of a row or group, and the one behind its last."""
+    """Return the first row of an item (a row or a group), and the row after its last."""
     group = item - len(tree.rows)
     if group < 0:
         return item, item + 1
@@ -65,7 +65,7 @@ def rows_of(tree: Tree, item: int) -> tuple[int, int]:
 
 @compiled_inline
 def residual_at(row: Vector, place: Vector) -> float:
-    """The residual of a row at a place, N m."""
+    """Return the residual of a row, N m. place: genes - origin."""
     residual = row[0]
     for k in range(place.size):
         residual -= row[k + 1] * place[k]
@@ -74,7 +74,7 @@ def residual_at(row: Vector, place: Vector) -> float:
 
 @compiled_inline
 def add_carrying(total: float, carry: float, term: float) -> tuple[float, float]:
-    """Add a term; what rounding takes from the total goes to the carry (Neumaier 1974)."""
+    """Return the total after adding a term, and the carry with the rounding error of the sum added (Neumaier 1974)."""
     raised = total + term
     lost = (total - raised) + term if abs(total) >= abs(term) else (term - raised) + total
     return raised, carry + lost
@@ -82,7 +82,7 @@ def add_carrying(total: float, carry: float, term: float) -> tuple[float, float]
 
 @compiled_inline
 def _code(tree: Tree, node: int) -> int:
-    """Return the number of the parent's part that holds the place."""
+    """Return the number of the part of the parent cell that contains the tree's `place`."""
     shift = tree.nodes[node, SHIFT] - _STEP
     code = 0
     for k in range(tree.at.size):
@@ -92,7 +92,7 @@ def _code(tree: Tree, node: int) -> int:
 
 @compiled_no_refcount
 def _slot(tree: Tree, node: int, code: int) -> int:
-    """The place in the table of a node's child, or the free one where it belongs."""
+    """Return the position of a node's child in the hash table, or the free position for it."""
     key = (np.uint64(node) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(code) * np.uint64(0xC2B2AE3D27D4EB4F))
     slot = np.int64((key ^ (key >> np.uint64(29))) & np.uint64(tree.table.size - 1))
     while tree.table[slot] >= 0:
@@ -105,13 +105,15 @@ def _slot(tree: Tree, node: int, code: int) -> int:
 
 @compiled_no_refcount
 def child_of(tree: Tree, node: int) -> int:
-    """The part of a cell that the place is in; negative where it is not grown."""
+    """Return the child of a cell that contains the tree's `place`; negative if that child is not grown."""
     return np.int64(tree.table[_slot(tree, node, _code(tree, node))])  # type: ignore[return-value]  # int in numba
 
 
 @compiled_within
 def split(tree: Tree, node: int) -> int:
-    """Grow the part of a cell that the place is in; the root, all else forgotten, where there is no room."""
+    """Grow the child of a cell that contains the tree's `place`, and return it. If memory is full, delete all cells but
+    the root and return the root.
+    """
     rows, p = tree.nodes[node, ROWS], tree.at.size
     no_node = tree.used[USED_NODES] == len(tree.nodes)
     no_list = tree.used[USED_UNDECIDED] + rows > tree.undecided.size
@@ -158,7 +160,9 @@ def _forget(tree: Tree) -> None:
 
 @compiled_no_refcount
 def _enter(tree: Tree, child: int) -> float:
-    """Set `middle`, in v, and `centre`, in genes, to a cell's; returns how far v may be from it in each coordinate."""
+    """Set the tree's `middle` (in v) and `centre` (in genes) to the centre of a cell; return half the cell's width in
+    v, with a margin for rounding.
+    """
     p = tree.at.size
     half = tree.width * 2.0 ** (tree.nodes[child, SHIFT] - BITS - 1.0)
     for k in range(p):
@@ -172,10 +176,11 @@ def _enter(tree: Tree, child: int) -> float:
 
 @compiled_within
 def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
-    """Sum up the parent's rows that have one sign throughout the child, list the others.
+    """Sum the parent's rows that have one sign throughout the child, and list the other rows.
 
-    centre, middle, reach: where the child is, as `_enter` gives. A group in which some rows may have one sign and some
-    either is looked at part by part, unless it is small; returns the rows of those that are.
+    reach: half the child's width, from `_enter`, which has also set its centre. A group in which only some rows may
+    have one sign is examined part by part, unless it has no more rows than `small`: then it is listed as a whole.
+    Returns the number of rows in such small groups.
     """
     p, free, listed, rows, added, unsure = tree.at.size, tree.used[USED_UNDECIDED], 0, 0, 0, 0
     for k in range(p + 1):
@@ -215,7 +220,7 @@ def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
 
 @compiled_inline
 def _sign_of(tree: Tree, item: int, reach: float) -> float:
-    """The sign that the residuals of a row or group have throughout a cell, 0 where none is known."""
+    """Return the sign that all residuals of an item (a row or a group) have throughout a cell, 0 if it is not known."""
     group, p = item - len(tree.rows), tree.at.size
     if group < 0:
         residual, needed = residual_at(tree.rows[item], tree.centre), reach * tree.rows[item, p + 1]
@@ -228,20 +233,22 @@ def _sign_of(tree: Tree, item: int, reach: float) -> float:
 
 @compiled_inline
 def _is_open(tree: Tree, group: int, reach: float) -> bool:
-    """Whether all rows of a group may have either sign in a cell."""
+    """Return whether every row of a group may have either sign in a cell."""
     return abs(_mean_at(tree, group)) + _spread_at(tree, group) < reach * tree.groups[group, 2 * tree.at.size + 2]  # type: ignore[no-any-return]  # bool in numba
 
 
 @compiled_inline
 def _mean_at(tree: Tree, group: int) -> float:
-    """The mean residual of a group's rows at the centre of a cell, N m."""
+    """Return the mean residual of a group's rows at the centre of a cell, N m."""
     size = tree.contents[group, END_ROW] - tree.contents[group, FIRST_ROW]
     return residual_at(tree.groups[group], tree.centre) / size  # type: ignore[no-any-return]  # float in numba
 
 
 @compiled_inline
 def _spread_at(tree: Tree, group: int) -> float:
-    """Return the largest distance, N m, of a row's residual from the mean of its group there."""
+    """Return the largest difference, N m, between a row's residual and the mean of its group at the centre of a
+    cell.
+    """
     p = tree.at.size
     spread = tree.groups[group, p + 1]
     for k in range(p):
@@ -251,7 +258,7 @@ def _spread_at(tree: Tree, group: int) -> float:
 
 @compiled_no_refcount
 def _add_part(tree: Tree, node: int) -> None:
-    """Add the sums of a few rows to those of a cell, and begin new ones."""
+    """Add the sums of a few rows to the sums of a cell, and reset the sums of the few rows to zero."""
     for k in range(tree.part.size):
         tree.sums[node, k], tree.carry[k] = add_carrying(tree.sums[node, k], tree.carry[k], tree.part[k])
         tree.part[k] = 0.0
@@ -259,7 +266,7 @@ def _add_part(tree: Tree, node: int) -> None:
 
 @compiled_no_refcount
 def _copy_leaf(tree: Tree, node: int) -> None:
-    """Copy a leaf's rows side by side, in blocks of eight, filled up with rows of nothing."""
+    """Copy a leaf's rows side by side, in blocks of eight; the last block is filled up with zero rows."""
     p, items, rows = tree.at.size, tree.nodes[node, COUNT], tree.nodes[node, ROWS]
     start, blocks = tree.used[USED_LEAVES], (rows + LANES - 1) // LANES
     for i in range(rows, blocks * LANES):

@@ -1,1 +1,1 @@
-"""The coupling models and their terms."""
+"""The models of the coupling, and the terms that they are made of."""

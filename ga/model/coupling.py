@@ -1,7 +1,8 @@
 """The model of the coupling: a sum of terms (`ga.model.terms`).
 
-torque = known + columns(nonlinear parameters) . genes. `linear` is the paper's equation 3. An effect that exists but
-has no term in the model changes Bc, which is why the other terms exist. Nothing here knows how a recording was made.
+torque = known + columns(nonlinear parameters) . genes. The model `linear` is the paper's equation 3. An effect that
+exists but has no term in the model changes Bc, which is why the other terms exist. This module does not depend on how a
+recording was made.
 """
 
 from __future__ import annotations
@@ -27,20 +28,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 BESIDE: Final = 0.25
-"""The step of the skew for its derivative, as a fraction of the time between two samples."""
+"""The change of the skew for a numerical derivative, as a fraction of the time between two samples."""
 
 STEP: Final = 1e-4
 SMALLEST: Final = 1e-3
-"""The step for the derivative by a nonlinear parameter, as a fraction of it; at least this value, SI, if it may be
-zero.
+"""STEP: the change of a nonlinear parameter for a numerical derivative, as a fraction of the parameter. For a parameter
+that may be zero, SMALLEST, SI, replaces the parameter in this product if it is larger.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A motion (n,) as the torque reading saw it: all samples if a torque cell filters it, else the samples asked for.
+    """The motion (n,) from which the torque is computed, and its regressors.
 
-    near: its regressors. whole: those of all samples, where the torque of a term depends on other samples too.
+    motion: all samples if a torque cell filters the torque, else the samples that are requested. near: the regressors
+    of the motion. whole: the regressors of all samples, if the torque of a term depends on other samples too; else
+    equal to `near`.
     """
 
     motion: Motion
@@ -53,25 +56,29 @@ class _Seen:
         return self.whole is self.near
 
     def passed(self, column: Array, *, bends: bool) -> Array:
-        """Return a column (m,) of all samples at those of the motion (n,), after what the torque was filtered by."""
+        """Return a column (m,) of all samples at the samples of the motion (n,), filtered as the torque was.
+
+        bends: whether the column is no linear filter of the motion; only such a column must be filtered.
+        """
         whole, rows = self.motion.whole
         if bends and self.motion.behind is not None:
             return whole.filtered(column)[rows]
         return column if self.is_whole else column[rows]
 
     def changing(self, delay: float) -> tuple[Motion, Motion]:
-        """Return the time derivatives of both motions, per second."""
+        """Return the time derivatives, per second, of the motion and of the whole motion."""
         near = self.motion.changing(delay)
         return near, near if self.is_whole else self.motion.whole[0].changing(delay)
 
 
 @dataclass(frozen=True)
 class CouplingModel:
-    """A sum of terms. name: canonical, such as "linear+offset+coulomb+skew".
+    """A model of the coupling: a sum of terms.
 
-    origin: the time at which the drift is zero, s. middle: the time after it, s, at which a drifting stiffness equals
-    Kc. slowest: the rate, rad/s, below which friction may hold the joint. smoothing: v_s of friction, rad/s. None: each
-    call derives it from its own data.
+    name: the model's name with the terms in the order of the table, such as "linear+offset+coulomb+skew". origin: the
+    time at which the drift is zero, s. middle: the time after the origin, s, at which a drifting stiffness equals Kc.
+    slowest: the rate, rad/s, below which friction may hold the joint. smoothing: v_s of friction, rad/s. Each call
+    derives the values that are None from its own data.
     """
 
     name: str
@@ -81,14 +88,14 @@ class CouplingModel:
     smoothing: float | None = None
 
     def __reduce__(self) -> tuple[type[CouplingModel], tuple[str | float | None, ...]]:
-        """Return what another process makes the model from; the records of its terms contain functions without a
-        name.
+        """Return the instructions for pickling. Another process builds the model from its name, because its terms
+        contain lambdas.
         """
         return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing)
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Return the records of its terms."""
+        """Return the records of the model's terms."""
         return tuple(TERMS[name] for name in self.name.split("+"))
 
     @cached_property
@@ -108,7 +115,7 @@ class CouplingModel:
 
     @property
     def sticks(self) -> bool:
-        """Return whether friction may hold the joint; its torque is then any value between -Fc and Fc."""
+        """Return whether friction may hold the joint; the torque of friction is then any value between -Fc and Fc."""
         return any(term.sticks for term in self.terms) and not self._smooths
 
     @cached_property
@@ -118,7 +125,9 @@ class CouplingModel:
 
     @property
     def needs_ratio(self) -> bool:
-        """Return whether the columns depend on Bc/Kc, because the sign of the torque decides on contact or friction."""
+        """Return whether the columns depend on Bc/Kc, because the sign of the torque decides whether surfaces touch or
+        how friction acts.
+        """
         return any(term.contact is not None or term.load is not None for term in self.terms)
 
     @cached_property
@@ -128,7 +137,9 @@ class CouplingModel:
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
     def _through_cell(self, motion: Motion, nonlinear: Array | None) -> Motion:
-        """Return the motion that the torque is computed from: all of it behind a torque cell with given parameters."""
+        """Return the motion that the torque is computed from: the whole motion if the model has a torque cell and its
+        parameters are given.
+        """
         behind_cell = nonlinear is not None and any(term.cell is not None for term in self.terms)
         return motion.whole[0] if behind_cell else motion
 
@@ -138,22 +149,22 @@ class CouplingModel:
         return any(term.load is not None and term.forgets is not None for term in self.terms)
 
     def anchored(self, motion: Motion) -> CouplingModel:
-        """Return the model with origin and slowest rate fixed from this motion, so that it is the same for every part
-        of it.
+        """Return the model with origin, middle, slowest rate and smoothing fixed from this motion.
 
-        This is needed if a recording is read block by block, or if one part validates a fit to another.
+        The model is then the same for every part of the motion. This is needed if a recording is read block by block,
+        or if one part validates a fit to another.
         """
         origin = float(motion.time[0]) if len(motion) else 0.0
         middle = 0.5 * float(motion.time.min() + motion.time.max()) - origin if len(motion) else 0.0
         return replace(self, origin=origin, middle=middle, slowest=slowest(motion), smoothing=smoothing(motion))
 
     def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]:
-        """Return which samples (n,) the model describes: all except those that friction may hold the joint in.
+        """Return which samples (n,) the model describes: all except those in which friction may hold the joint.
 
-        delay: by how much the torque reading is older, s. If the model estimates it, further samples are left out:
-        those next to a reversal, because the sign of their friction would determine the delay; those next to a rest,
-        where a low-pass spreads friction of unknown size; and those in which the computed rate reverses before or after
-        the joint.
+        delay: the age of the torque reading less that of the angle reading, s. If the model estimates the delay,
+        further samples are left out: those next to a reversal, because the sign of their friction would determine the
+        delay; those next to a rest, where a low-pass spreads friction of unknown size; and those in which the computed
+        rate reverses before or after the joint.
         """
         if not self.sticks:
             return np.ones(len(motion), dtype=bool)
@@ -167,15 +178,17 @@ class CouplingModel:
         return np.asarray(~(held | beside_rest(motion, held) | unseen))
 
     def delay(self, nonlinear: Array | None) -> float:
-        """Return by how much the torque reading is older, s, for nonlinear parameters (q,); 0 without a term for it."""
+        """Return the age of the torque reading less that of the angle reading, s, for nonlinear parameters (q,); 0
+        without a term for a delay.
+        """
         return next((float(values[0]) for term, values in self._valued(nonlinear) if term.delays), 0.0)
 
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array:
         """Return the columns (n, p) of the linear parameters, SI.
 
         nonlinear (q,): the values of the nonlinear parameters; None leaves out the columns of terms that have such
-        parameters. lag: Bc/Kc, s; in a gap it determines when the two contact surfaces, which can push but not pull,
-        separate.
+        parameters. lag: Bc/Kc, s. In a gap, whose contact surfaces can push but not pull, Bc/Kc determines when the two
+        surfaces separate.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)
@@ -184,7 +197,8 @@ class CouplingModel:
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return the torque (n,), N m, that the columns are fitted to: the measured torque less its known part.
 
-        If the model has memory, the part that the unknown state at the beginning of a piece can explain is removed too.
+        If the torque depends on earlier samples, the part that the unknown state at the beginning of a piece can
+        explain is removed too.
         """
         if motion.whole[0].known.any():
             seen = self._through_cell(motion, nonlinear)
@@ -201,13 +215,14 @@ class CouplingModel:
         *,
         changing: Motion | None = None,
     ) -> Array:
-        """Return the derivative of the torque by each nonlinear parameter, (n, q), N m per unit, at (q,) and genes
-        (p,).
+        """Return the derivative (n, q) of the torque with respect to each nonlinear parameter, N m per unit, at given
+        parameters.
 
-        torque (n,): N m, as read; None: the model's own. If the model has memory, the part explained by unknown
-        beginnings changes too. changing: the time derivative of the motion, per second; None: interpolated. Where
-        flanks meet the damping torque jumps, and where the joint reverses friction does; the contribution of these
-        jumps at single samples is left out.
+        nonlinear (q,) and genes (p,): the parameters. torque (n,): N m, as read; None: the model's own torque. If the
+        torque depends on earlier samples, the part explained by the unknown states at the beginning of pieces changes
+        too. changing: the time derivative of the motion, per second; None: computed by interpolation. Where the
+        surfaces of a gap meet, the damping torque jumps, and where the joint reverses, friction jumps; the contribution
+        of these jumps at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         seen = model._seen(motion, nonlinear, lag)
@@ -234,7 +249,7 @@ class CouplingModel:
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
     def _beside(self, nonlinear: Array, at: int) -> Array:
-        """Return the nonlinear parameters (2, q) with one of them a little lower, and a little higher."""
+        """Return the nonlinear parameters (2, q) with the parameter `at` slightly lower, and slightly higher."""
         parameter = self.nonlinear[at]
         never_zero = parameter.positive and parameter.absent is None
         step = STEP * max(abs(nonlinear[at]), 0.0 if never_zero else SMALLEST)
@@ -244,8 +259,10 @@ class CouplingModel:
         return beside
 
     def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
-        """Return the torque (n,), N m, of a motion, with the part of the beginnings; seen: regressors with the same
-        delay, if known.
+        """Return the torque (n,), N m, of a motion, including the part explained by unknown states at the beginning of
+        pieces.
+
+        seen: regressors with the same delay, if known.
         """
         moved = self._seen(motion, nonlinear, lag, seen)
         torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
@@ -258,7 +275,7 @@ class CouplingModel:
 
     @cached_property
     def _places(self) -> tuple[tuple[Term, slice], ...]:
-        """Return each term with nonlinear parameters, and the slice of the model's (q,) that they are."""
+        """Return each term that has nonlinear parameters, with the slice of these parameters in the model's (q,)."""
         found, at = [], 0
         for term in self.terms:
             count = sum(parameter.nonlinear for parameter in term.parameters)
@@ -267,11 +284,15 @@ class CouplingModel:
         return tuple(found)
 
     def _valued(self, nonlinear: Array | None) -> list[tuple[Term, Array]]:
-        """Return each term with nonlinear parameters, with its own values out of these (q,)."""
+        """Return each term that has nonlinear parameters, with the values of these parameters, out of the model's
+        (q,).
+        """
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
     def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
-        """Return the regressors; delayed: those of other parameters with the same delay."""
+        """Return the regressors for nonlinear parameters (q,). delayed: known regressors for other parameters with the
+        same delay.
+        """
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = self._through_cell(motion, nonlinear)
         shown = delayed.near.motion if delayed else motion.delayed(delay)
@@ -286,9 +307,9 @@ class CouplingModel:
         return _Seen(motion, self._regressors(motion, shown, nonlinear, lag), every)
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """Return a torque (m,) or columns (m, p) as the torque cell reads them, at the samples of the motion (n,).
+        """Return a torque (m,) or columns (m, p) after the torque cell's filter, at the samples of the motion (n,).
 
-        With a torque cell in the model, m counts all samples.
+        With a torque cell in the model, m is the number of samples of the whole motion.
         """
         cells = [(term.cell, values) for term, values in self._valued(nonlinear) if term.cell is not None]
         for number, (cell, values) in enumerate(cells, start=1):
@@ -296,7 +317,9 @@ class CouplingModel:
         return torque
 
     def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """Return the known part of a torque (m,) or columns (m, p) as they are read, (n,) or (n, p)."""
+        """Return a torque (m,) or columns (m, p) after the torque cell's filter, less what unknown initial states
+        explain, (n,) or (n, p).
+        """
         return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
 
     def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
@@ -313,7 +336,7 @@ class CouplingModel:
         return without_beginnings(values, begun)
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
-        """Return the regressors of the motion, delayed, without gap or slack."""
+        """Return the regressors of the delayed motion, before a gap or a slack is applied."""
         angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
         damped = not any(term.spares_dampers for term in self.terms)
         for term, values in self._valued(nonlinear):
@@ -331,8 +354,10 @@ class CouplingModel:
         return Regressors(elapsed, seen, angle, contact, load, damped, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
-        """Yield each term, whether it bends, and its own of the parameters (q,); without them, only terms that have
-        none.
+        """Yield each term, whether its torque is no linear filter of the motion, and its values out of the parameters
+        (q,).
+
+        Without given parameters, only terms without nonlinear parameters are returned.
         """
         valued = {term.name: values for term, values in self._valued(nonlinear)}
         for term, bends in zip(self.terms, self.bends, strict=True):
@@ -340,7 +365,7 @@ class CouplingModel:
                 yield term, bends, valued.get(term.name, np.empty(0))
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
-        """Return the change of the torque, N m, when the deflection changes by `moved` (n,), rad, at genes (p,)."""
+        """Return the change of the torque, N m, when the deflection changes by `moved` (n,), rad, for genes (p,)."""
         parts, at = [], 0
         for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)
@@ -351,7 +376,9 @@ class CouplingModel:
         return np.asarray(sum(parts[1:], start=parts[0]))
 
     def _stacked(self, seen: _Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
-        """Return the columns, or their time derivatives."""
+        """Return the columns (n, p) of all terms; with `changing`, the derivatives of the columns with respect to
+        time.
+        """
         columns: list[Array] = []
         for term, bends, values in self._present(nonlinear):
             reaches = _reaches(seen.motion, term, bends=bends)
@@ -368,7 +395,9 @@ class CouplingModel:
 
 
 def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
-    """Return whether a term's torque depends on other samples, through its own state or a filter."""
+    """Return whether a term's torque depends on other samples, through a state of the term or through the torque's
+    filter.
+    """
     return term.forgets is not None or (bends and motion.behind is not None)
 
 

@@ -1,4 +1,4 @@
-"""The terms of friction, which dissipates energy beside Bc, and of inertia."""
+"""The terms of friction, which dissipates energy in addition to Bc, and of inertia."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ MOST_FRICTION: Final = 0.9
 """The largest fraction of the torque that a tendon may lose in its sheath."""
 
 PRETENSION: Final = 2.0
-"""How far beyond the motion the place without torque may lie for a tendon under tension, in ranges of the motion."""
+"""The largest distance from the motion at which the deflection without torque may lie, for a tendon under tension, in
+ranges of the motion.
+"""
 
 FALLS: Final = (0.02, 1.5)
-"""The rate over which friction falls from its value at rest, smallest and largest, relative to the rate that dominates
-damping (`felt`).
+"""The smallest and the largest rate over which friction falls from its value at rest, relative to the rate that
+dominates damping (`felt`).
 """
 
 
 TURNS: Final = (0.002, 0.6)
-"""The rate over which friction reverses smoothly, smallest and largest, relative to the same rate; above it, it equals
-damping.
+"""The smallest and the largest rate over which friction reverses smoothly, relative to the rate that dominates damping
+(`felt`). Above the largest, such friction equals damping.
 """
 
 
@@ -59,7 +61,9 @@ def _squaring(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
-    """Return 1 + mu where the tendon is pulled further, 1 - mu where it is released."""
+    """Return the factor (n,) of the tendon's torque: 1 + mu while the tendon is pulled further, 1 - mu while it is
+    released.
+    """
     import numpy as np
 
     rate = motion.dtheta_dot
@@ -68,8 +72,8 @@ def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: 
 
 
 def capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the bounds of the fraction of the torque that is friction, and of the place, rad, that carries no
-    torque.
+    """Return the bounds of two parameters: the fraction of the torque that is friction, and the deflection, rad,
+    without torque.
     """
     least, most = float(motion.dtheta.min()), float(motion.dtheta.max())
     beyond = PRETENSION * (most - least)
@@ -116,7 +120,10 @@ COULOMB: Final = Term(
 
 
 def _rate_over(name: str, meaning: str, starts: tuple[float, ...]) -> Parameter:
-    """Return the parameter of a rate, rad/s, over which friction changes."""
+    """Return the record of a parameter that is a rate, rad/s, over which friction changes.
+
+    starts: its starting values, as fractions of its range.
+    """
     return Parameter(name, "rad/s", meaning, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
 
 

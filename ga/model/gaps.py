@@ -1,4 +1,4 @@
-"""The terms of a gap: backlash, a dead band, and a slack tendon. They subtract a part of the deflection."""
+"""The terms of a gap: backlash, a dead band, and a slack tendon. A gap subtracts a part of the deflection."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _slack_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float],
 
 
 def extent(motion: Motion) -> tuple[float, float]:
-    """Return the smallest deflection of a motion, rad, and its range from there, rad."""
+    """Return the smallest deflection of a motion, rad, and the range of its deflection, rad."""
     least = float(motion.dtheta.min())
     return least, float(motion.dtheta.max() - motion.dtheta.min())
 

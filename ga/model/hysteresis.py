@@ -1,4 +1,4 @@
-"""The terms of friction that builds up over a deflection: a part of the torque with memory."""
+"""The terms of friction that builds up over a deflection after a reversal: such a torque depends on earlier samples."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 REACHES: Final = (0.002, 0.8)
-"""The deflection over which friction builds up, smallest and largest, as a fraction of the whole deflection."""
+"""The smallest and the largest deflection over which friction builds up, as fractions of the range of the
+deflection.
+"""
 
 MOST_RISE: Final = 2.0
-"""How much higher friction may be at rest than at speed, as a fraction of the latter."""
+"""The largest excess of friction at rest over friction at speed, as a fraction of friction at speed."""
 
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -67,7 +69,11 @@ def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values: Array) -> Array:
-    """Return 1 + mu long after a reversal if the load grows, 1 - mu if it falls; values: mu first, and reach last."""
+    """Return the factor (n,) of the carried torque: long after a reversal 1 + mu if the load grows, and 1 - mu if it
+    falls.
+
+    values: the term's parameters, mu first and reach last.
+    """
     import numpy as np
 
     level = motion.presliding(float(values[-1]))
@@ -75,7 +81,10 @@ def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values:
 
 
 def _loaded_at_first(motion: Motion, own: Array) -> Array:
-    """Return the remaining weight (n,) of a piece's initial state at each sample, in proportion to the load."""
+    """Return the weight (n,) that the initial state of a piece still has at each sample, in proportion to the load.
+
+    own: the term's parameters.
+    """
     import numpy as np
 
     _, rest, reach = own
@@ -83,7 +92,7 @@ def _loaded_at_first(motion: Motion, own: Array) -> Array:
 
 
 def _over(name: str, about: str) -> Parameter:
-    """Return the parameter of a deflection, rad, over which a torque builds up after a reversal."""
+    """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal."""
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
     return Parameter(name, "rad", about, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
 

@@ -1,4 +1,6 @@
-"""Signals that remember: a lag, and the frictions of Dahl and of Bouc and Wen, exact over uneven stamps."""
+"""Signals that depend on earlier samples: a lag, and the frictions of Dahl and of Bouc and Wen, exact for uneven
+stamps.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +17,20 @@ if TYPE_CHECKING:
 
 
 _FORGOTTEN: Final = 1e-6
-"""Part of a state that makes no difference any more."""
+"""The fraction of a state below which the state has no effect any more."""
 
 
 _SAME: Final = 1e-9
-"""Of the time between two samples: what makes a difference in proportion to it only."""
+"""The fraction of the time between two samples below which a time has only an effect in proportion to it."""
 
 _AT_ONCE: Final = 1e-6
-"""s: the mean over less is the value."""
+"""The width, s, below which a mean over that time equals the value itself."""
 
 
 def lagged(time: Array, values: Array, constant: float) -> Array:
-    """Return values (n,) or (n, k) at times (n,) s behind a first-order lag of `constant` s, settled at the first.
+    """Return values (n,) or (n, k) behind a first-order lag of `constant`, s, that has settled at the first sample.
 
-    Exact where the values are cubic between two times, with the slopes that central differences give them.
+    time (n,): s. Exact if the values are cubic between two times, with slopes from central differences.
     """
     if len(time) < 2:
         return values
@@ -40,10 +42,11 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
 
 
 def averaged(time: Array, values: Array, width: float, rows: NDArray[np.int64] | None = None) -> Array:
-    """Return the mean of values (n,) or (n, k) at times (n,) s over `width` s around each, or what of it there is.
+    """Return the mean of values (n,) or (n, k) over `width`, s, around each time; at the ends, over the part of it that
+    exists.
 
-    rows (m,): of the times that it is asked for; None: all. The values are cubic between two times, with the slopes
-    that central differences give them.
+    time (n,): s. rows (m,): the times for which the mean is returned; None: all. The values are cubic between two
+    times, with slopes from central differences.
     """
     rows = np.arange(len(time)) if rows is None else rows
     if len(time) < 2:
@@ -56,10 +59,11 @@ def averaged(time: Array, values: Array, width: float, rows: NDArray[np.int64] |
 
 
 def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Return times (m,) s and rates rad/s with a sample more at each turn, and which of them the given (n,) are.
+    """Return times (m,), s, and rates, rad/s, with an additional sample at each reversal, and the indices of the given
+    samples (n,).
 
-    A turn is where the rate, linear between two samples, is zero. Friction that builds up over a deflection depends on
-    the way there and back: over what remains of the two, it would be as if the joint had hardly moved.
+    At a reversal the rate, linear between two samples, is zero. Friction that builds up over a deflection depends on
+    the distance in each direction: from the difference of the two alone, the joint would seem hardly to have moved.
     """
     turning = rate[:-1] * rate[1:] < 0.0
     turns, rows = np.flatnonzero(turning), np.arange(len(time))
@@ -74,7 +78,10 @@ def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64
 
 
 def presliding(time: Array, rate: Array, length: float) -> Array:
-    """Return Dahl's friction (n,), -1 to 1, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate))/length, zero at first."""
+    """Return Dahl's friction (n,), -1 to 1, of a rate (n,), rad/s.
+
+    It follows dz/dx = (1 - z sign(rate))/length, with length in rad, and begins with zero.
+    """
     moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
     keep = np.exp(-np.abs(moves) / length)
     found = np.zeros(len(time))
@@ -83,10 +90,10 @@ def presliding(time: Array, rate: Array, length: float) -> Array:
 
 
 def bristles(time: Array, rate: Array, length: float, rise: float, over: float) -> Array:
-    """Return LuGre's friction (n,), 1 at speed, of a rate (n,) rad/s: dz/dx = (1 - z sign(rate)/g)/length, 0 at first.
+    """Return LuGre's friction (n,), 1 at speed, of a rate (n,), rad/s.
 
-    What it settles to, g = 1 + rise exp(-(rate/over)^2), is taken as linear in the way between two samples (Canudas de
-    Wit and others 1995).
+    It follows dz/dx = (1 - z sign(rate)/g)/length and begins with zero. Its final value, g = 1 + rise
+    exp(-(rate/over)^2), is linear in the distance between two samples (Canudas de Wit and others 1995).
     """
     moves = np.diff(time) * 0.5 * (rate[:-1] + rate[1:])
     settled = 1.0 + rise * falls(rate, over)
@@ -99,14 +106,17 @@ def bristles(time: Array, rate: Array, length: float, rise: float, over: float) 
 
 
 def falls(rate: Array, over: float) -> Array:
-    """Return what is left (n,) of what friction at rest has more than at speed: a Gaussian over a rate, rad/s."""
+    """Return the fraction (n,) of friction's excess at rest over friction at speed that remains at a rate: a Gaussian.
+
+    over: the width of the Gaussian, rad/s.
+    """
     return np.asarray(np.exp(-((rate / over) ** 2)))
 
 
 def yielding(time: Array, rate: Array, length: float) -> Array:
-    """Return Bouc and Wen's friction (n,), -1 to 1, of a rate (n,) rad/s, zero at first.
+    """Return Bouc and Wen's friction (n,), -1 to 1, of a rate (n,), rad/s, beginning with zero.
 
-    dz/dx = 1/length where the motion takes load off, and (1 - |z|)/length where it adds load.
+    It follows dz/dx = 1/length while the motion reduces |z|, and (1 - |z|)/length while the motion increases |z|.
     """
     found = np.zeros(len(time))
     yield_along(np.diff(time) * 0.5 * (rate[:-1] + rate[1:]) / length, found)
@@ -114,13 +124,17 @@ def yielding(time: Array, rate: Array, length: float) -> Array:
 
 
 Beginnings = tuple[tuple[slice, "Array"], ...]
-"""Of each stretch, the rows in which the state that it began with matters, and a basis (m, k) of what it can make."""
+"""The signals that the unknown states at the beginning of pieces can cause.
+
+For each piece: the rows in which its initial state matters, and a basis (m, k) of the signals that the state can cause.
+"""
 
 
 def beginnings(left: Array, stretch: NDArray[np.int64]) -> Beginnings:
-    """Return what the states at the beginning of each stretch can make, in proportion to each of `left` (k, n).
+    """Return the signals that the unknown states at the beginning of each piece can cause.
 
-    left: how much of the state that the stretch began with is left at each sample, which only falls.
+    left (k, n): the weight that the initial state of its piece still has at each sample, which only falls. stretch
+    (n,): the number of the piece of each sample.
     """
     near = np.flatnonzero(left.max(axis=0) > _FORGOTTEN)
     edges = np.flatnonzero(np.diff(stretch[near])) + 1
@@ -129,9 +143,9 @@ def beginnings(left: Array, stretch: NDArray[np.int64]) -> Beginnings:
 
 
 def without_beginnings(values: Array, begun: Beginnings) -> Array:
-    """Return values (n,) or (n, p) without what the unknown states at the beginning of each stretch can make.
+    """Return values (n,) or (n, p) without the part that the unknown states at the beginning of each piece can cause.
 
-    By the theorem of Frisch and Waugh (1933), a least-squares fit of what is returned is the fit in which these states
+    By the theorem of Frisch and Waugh (1933), a least-squares fit to the result equals the fit in which these states
     are parameters.
     """
     found = values.copy()
@@ -141,13 +155,17 @@ def without_beginnings(values: Array, begun: Beginnings) -> Array:
 
 
 def _orthonormal(left: Array) -> Array:
-    """An orthonormal basis of what the columns (n, k) span; QR takes ten times as long for the usual one."""
+    """Return an orthonormal basis of the space that the columns (n, k) span. A single column is only scaled, because QR
+    takes ten times as long.
+    """
     return np.asarray(left / np.linalg.norm(left)) if left.shape[1] == 1 else np.linalg.qr(left)[0]
 
 
 @compiled_no_refcount
 def yield_along(moves: Array, found: Array) -> None:
-    """Fill in the states (n + 1,) after the first, for moves (n,) in parts of the length."""
+    """Fill in the states (n + 1,) of Bouc and Wen's friction after the first, for n moves given in units of the
+    length.
+    """
     for at in range(len(moves)):
         way, load = abs(moves[at]), found[at] if moves[at] >= 0.0 else -found[at]
         unloading = min(way, max(-load, 0.0))
@@ -159,9 +177,10 @@ def yield_along(moves: Array, found: Array) -> None:
 
 @compiled_no_refcount
 def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: Array, slope: Array) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
-    """Fill in what `lagged` returns of values (n, k); chord and slope (k,): those of the first, to the next time.
+    """Fill in the result of `lagged` for values (n, k).
 
-    Element by element: to copy a row takes two seconds to compile, because what it could raise is compiled too.
+    chord, slope (k,): slope to the next sample and derivative, both at the first sample. The code works element by
+    element: a copy of a row takes two seconds to compile, because the errors that it could raise are compiled too.
     """
     count, width = table.shape
     last = same = 0.0
@@ -187,7 +206,9 @@ def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: 
 
 @compiled_no_refcount
 def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
-    """Fill in the slopes of values (n, k) by central differences, and their integral from the first until each."""
+    """Fill in the slopes of values (n, k) by central differences, and the integral of the values from the first time to
+    each time.
+    """
     last = len(time) - 1
     for k in range(table.shape[1]):
         slopes[0, k] = (table[1, k] - table[0, k]) / (time[1] - time[0])
@@ -207,7 +228,7 @@ def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
 def mean_around(  # noqa: PLR0917 - compiled functions take their parts by position
     time: Array, table: Array, slopes: Array, areas: Array, width: float, rows: NDArray[np.int64], found: Array
 ) -> None:
-    """Fill in what `averaged` returns of values (n, k), with what `add_up` fills in."""
+    """Fill in the result of `averaged` for values (n, k), from the slopes and integrals of `add_up`."""
     last = len(time) - 1
     first = following = 0
     for i in range(len(rows)):
@@ -225,7 +246,9 @@ def mean_around(  # noqa: PLR0917 - compiled functions take their parts by posit
 
 @compiled_within
 def area(time: Array, table: Array, slopes: Array, areas: Array, at: int, k: int, until: float) -> float:  # noqa: PLR0917 - compiled functions take their parts by position
-    """The integral of value k until a time behind the one numbered `at`: of a cubic with the slopes at both ends."""
+    """Return the integral of value k from sample `at` to the time `until` after it, of a cubic with the slopes at both
+    ends.
+    """
     past, step = until - time[at], time[at + 1] - time[at]
     chord, slope, next_slope = (table[at + 1, k] - table[at, k]) / step, slopes[at, k], slopes[at + 1, k]
     square, cube = (3.0 * chord - 2.0 * slope - next_slope) / step, (slope + next_slope - 2.0 * chord) / step**2
@@ -237,6 +260,6 @@ def area(time: Array, table: Array, slopes: Array, areas: Array, at: int, k: int
 
 @compiled_no_refcount
 def slide_along(keep: Array, added: Array, found: Array) -> None:
-    """Fill in the states (n + 1,) after the first: `keep` (n,) of the one before and what is added (n,)."""
+    """Fill in the states (n + 1,) after the first: each is `keep` (n,) times the previous state plus `added` (n,)."""
     for at in range(len(keep)):
         found[at + 1] = keep[at] * found[at] + added[at]

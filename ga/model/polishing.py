@@ -26,19 +26,23 @@ _POLISHED: Final = 1e-5
 _PLACES: Final = 10
 _CLOSE: Final = 0.01
 _DEPENDENT: Final = 1e-6
-"""Settings of a polish: how far it looks, in standard errors, at first, from round to round, and at last; the most
-rounds; the fraction of the fitness that a round must gain for the next one to look as far; the most points on a
-line, and their smallest distance, in standard errors; and the fraction of a column that must be independent of the
-others.
+"""The settings of the search in `polished`.
+
+_REACH: the distance of the search at first, in standard errors. _NARROWER: the factor of this distance from round to
+round. _NEAREST: the distance at which the search ends. _ROUNDS: the largest number of rounds. _POLISHED: the fraction
+of the fitness that a round must gain for the next round to search as far. _PLACES: the largest number of points on a
+line. _CLOSE: the smallest distance of these points, in standard errors. _DEPENDENT: the fraction of a column that must
+be independent of the others.
 """
 
 
 def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
-    """Return the local minimum near a fit, for parameters in which descents end early.
+    """Return the local minimum near a fit, for parameters in which descents end too early.
 
-    Two nearly collinear parameters, such as a skew and a lag, make a long, bent trough of the fitness. A search
-    follows it along each direction, from well to badly determined, as far as the data leave that direction uncertain,
-    with steps back to the floor of the trough in the better determined directions. reach: how far, in standard errors.
+    Two nearly collinear parameters, such as a skew and a lag, make a long, bent trough of the fitness. The search
+    follows the trough along each direction, from well to badly determined ones, as far as the data leave that direction
+    uncertain, with steps back to the floor of the trough in the better determined directions. reach: the distance of
+    the search, in standard errors.
     """
     for _ in range(_ROUNDS if problem.low.size else 0):
         if reach < _NEAREST:
@@ -68,9 +72,10 @@ def _weak_directions(problem: Problem, best: Fit) -> Array:
 
 
 def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, reach: float) -> tuple[Fit, bool]:
-    """Return the lowest fit found along a direction, and whether it lies at an end of the searched range.
+    """Return the lowest fit found along a direction, and whether that fit lies at an end of the searched range.
 
-    Each next point is the minimum of the parabola through the lowest point so far and its neighbours.
+    across: better determined directions, in which each point is improved. reach: half the searched range, in standard
+    errors. Each next point is the minimum of the parabola through the lowest point so far and its neighbours.
     """
     start, seen = best.nonlinear, {0.0: best}
     tried = [-reach, reach]
@@ -84,7 +89,7 @@ def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, 
 
 
 def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
-    """Return the next points to try; [] if the lowest is at an end or close to points already tried."""
+    """Return the next points to try; [] if the lowest point is at an end or close to points already tried."""
     parts = sorted(seen)
     at = parts.index(lowest)
     if at in (0, len(parts) - 1):
@@ -99,7 +104,8 @@ def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
 def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
     """Return the fit after a Gauss-Newton step from nonlinear parameters (q,), in the directions `across` (k, q).
 
-    If no optimum can be proven there, it is the fit before the step, or the one near, so that the search continues.
+    If no optimum can be proven after the step, the fit before the step is returned; if none can be proven there either,
+    the fit `near`, so that the search continues.
     """
     best = near
     try:
@@ -110,7 +116,7 @@ def _floor(problem: Problem, nonlinear: Array, near: Fit, across: Array) -> Fit:
 
 
 def _stepped(problem: Problem, best: Fit, across: Array) -> Fit:
-    """Return the fit after one such step from another fit."""
+    """Return the fit `best` after a Gauss-Newton step in the directions `across` (k, q)."""
     columns, target = problem.linearised(best)
     count = len(best.nonlinear)
     linear, jacobian = columns[:, :-count], columns[:, -count:]

@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LONGEST_SKEW: Final = 0.02
-"""The longest time between the two readings of one tick, s."""
+"""The largest difference in time between the torque reading and the angle reading of one tick, s."""
 
 LONGEST_LAG: Final = 0.05
-"""The longest time constant of a torque cell, s: 3 Hz."""
+"""The longest time constant of a torque cell, s: that of a bandwidth of 3 Hz."""
 
 
 LONGEST_MEAN: Final = 0.1
-"""The longest time over which a torque reading is a mean, s."""
+"""The longest time, s, over which a sensor may average its torque reading."""
 
 TICKS_LATE: Final = 10.0
-"""Ticks by which a filter may delay the torque reading, if that is longer than `LONGEST_SKEW`."""
+"""The number of ticks by which a filter may delay the torque reading, if that is longer than `LONGEST_SKEW`."""
 
 
 def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:

@@ -1,9 +1,10 @@
-"""Fit models with nonlinear parameters by variable projection: these are searched, the linear ones solved for inside.
+"""Fit models with nonlinear parameters by variable projection: these are searched, and the linear ones computed exactly
+for each trial value.
 
 For given nonlinear parameters (such as skew, gap, slack) the fit is a least-absolute-deviations problem, and its exact
-minimum is their fitness. `best_start` looks for the lowest local minimum from a few starting values. `descend` goes to
-the local minimum next to any point (Gauss-Newton with the exact solver as its step; Osborne and Watson 1971).
-`compass_search` goes further down where breaks make the fitness too rough for that.
+minimum is the fitness of these parameters. `best_start` looks for the lowest local minimum from a few starting values.
+`descend` goes to the local minimum next to any point (Gauss-Newton with the exact solver as its step; Osborne and
+Watson 1971). `compass_search` goes further down if breaks make the fitness too rough for Gauss-Newton.
 """
 
 from __future__ import annotations
@@ -32,19 +33,24 @@ if TYPE_CHECKING:
 
 FEW: Final = 600
 ENOUGH: Final = 2500
-"""The rows on which local minima are compared, and the rows on which one is located before all rows are used."""
+"""FEW: the number of rows on which local minima are compared. ENOUGH: the number of rows on which a minimum is located
+before all rows are used.
+"""
 
 _AGREEMENTS: Final = 8
 _AGREED: Final = 1e-3
-"""How often, at most, and to what precision the contact of flanks is recomputed from the fit that it led to."""
+"""_AGREEMENTS: the largest number of times that the contact of a gap's surfaces is recomputed from the resulting fit.
+_AGREED: the precision of Bc/Kc at which contact and fit agree.
+"""
 
 _ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
 
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
-"""A descent has converged when a step gains less than this fraction of the fitness and is shorter than this fraction of
-the bounds' width.
+"""_STEPS: the largest number of steps of a descent. _HALVINGS: how often a step is shortened. _CONVERGED: a descent has
+converged when a step gains less than this fraction of the fitness and is shorter than this fraction of the bounds'
+width.
 """
 
 _NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begin at, or to be compared
@@ -52,8 +58,8 @@ _NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begi
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3
 _LAST: Final = 1e-5
-"""The first and last steps of a compass search, as fractions of the bounds' width; from the middle one on they shrink
-faster.
+"""The steps of a compass search, as fractions of the bounds' width. _FIRST: the first step. _FINE: the step from which
+the steps shrink faster. _LAST: the last step.
 """
 
 _FEW_STEPS: Final = 8  # of a compass, after which their common direction is known
@@ -77,9 +83,9 @@ class SeparableModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A local minimum: nonlinear parameters (q,), and the linear ones that are optimal for them, its genes (p,).
+    """A local minimum: nonlinear parameters (q,), and genes (p,): the linear parameters that are optimal for these.
 
-    lag: Bc/Kc of these genes, s, if the model has flanks that can only push, else 0.
+    lag: Bc/Kc of these genes, s, if the model has surfaces that can only push, else 0.
     """
 
     nonlinear: Array
@@ -93,13 +99,15 @@ class Fit:
 
     @property
     def values(self) -> Array:
-        """All parameters, (p + q,): genes, then nonlinear ones."""
+        """All parameters, (p + q,): genes, then nonlinear parameters."""
         return np.concatenate([self.optimum.genes, self.nonlinear])
 
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A fit with the columns (n, p) and target (n,) that it was solved with; many megabytes, never to be kept."""
+    """A fit together with the columns (n, p) and target (n,) of its linear problem. These take many megabytes and must
+    not be stored.
+    """
 
     fit: Fit
     columns: Array
@@ -108,7 +116,10 @@ class _Solved:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A model on a recording: motion (n,), torque (n,) N m; low and high (q,): bounds of the nonlinear parameters."""
+    """A model to be fitted to a recording.
+
+    motion (n,) and torque (n,), N m: the recording. low and high (q,): bounds of the nonlinear parameters.
+    """
 
     model: SeparableModel
     motion: Motion
@@ -122,15 +133,16 @@ class Problem:
         return positive_among(self.model.linear)
 
     def solve(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> Fit:
-        """Return the exact minimum for nonlinear parameters (q,), with the genes that cannot be negative constrained.
+        """Return the exact minimum for nonlinear parameters (q,); genes that cannot be negative are constrained.
 
-        near: the fit for similar values, to begin with. If contact depends on Bc/Kc, which the minimum determines, the
-        two are repeated until they agree, at most `agreements` times. Raises RuntimeError if no optimum can be proven.
+        near: the fit for similar values, from which the solver starts. If contact depends on Bc/Kc, which the minimum
+        determines, both are recomputed until they agree, at most `agreements` times. Raises RuntimeError if no optimum
+        can be proven.
         """
         return self._solved(nonlinear, near, agreements).fit
 
     def _solved(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> _Solved:
-        """Do what `solve` does, and also return what was solved, for a step from there."""
+        """Do the same as `solve`, and return the fit together with its linear problem."""
         target, lag = self.model.target(self.motion, self.torque, nonlinear), near.lag if near else 0.0
         if not self.model.linear:
             optimum = Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
@@ -149,15 +161,17 @@ class Problem:
         return _Solved(best, columns, target)
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
-        """Return the problem on some of the rows."""
+        """Return the problem on the samples `rows` only."""
         return replace(self, motion=self.motion.of(rows), torque=self.torque[rows])
 
     def thinned(self, rows: int = ENOUGH) -> Problem:
-        """Return the problem on about as many rows, evenly spaced."""
+        """Return the problem on about `rows` samples, evenly spaced."""
         return self.of(slice(None, None, max(1, len(self.torque) // rows)))
 
     def sketched(self) -> Problem:
-        """Return the problem on a few rows of a motion just dense enough, to find a starting point."""
+        """Return the problem on a few samples of a coarser motion that is still dense enough, for the search of a
+        starting point.
+        """
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 
@@ -169,20 +183,20 @@ class Problem:
     def linearised(self, fit: Fit) -> tuple[Array, Array]:
         """Return columns (n, p + q) and torque (n,) of the problem linearised at the fit.
 
-        Its residuals at `fit.values` are those of the fit.
+        At `fit.values` the linearised problem has the residuals of the fit.
         """
         columns = self.model.columns(self.motion, fit.nonlinear, fit.lag)
         return self._around(_Solved(fit, columns, self.model.target(self.motion, self.torque, fit.nonlinear)))
 
     def _around(self, solved: _Solved) -> tuple[Array, Array]:
-        """Return what `linearised` does, for a fit with what it was solved with."""
+        """Return the result of `linearised` for a fit whose linear problem is known."""
         fit = solved.fit
         jacobian = self.model.jacobian(self.motion, fit.nonlinear, fit.optimum.genes, fit.lag, self.torque)
         return np.concatenate([solved.columns, jacobian], axis=1), solved.target + jacobian @ fit.nonlinear
 
 
 def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the lowest local minimum found. near: nonlinear parameters that are roughly known, by name.
+    """Return the lowest local minimum found. near: approximate values of some nonlinear parameters, by name.
 
     Raises RuntimeError as `Problem.solve`.
     """
@@ -192,9 +206,9 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
 
 
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum next to nonlinear parameters (q,). near: those of a smaller model's fit, by name.
+    """Return the local minimum next to the nonlinear parameters `start` (q,).
 
-    Raises RuntimeError as `Problem.solve`.
+    near: the nonlinear parameters of a smaller model's fit, by name. Raises RuntimeError as `Problem.solve`.
     """
     if not start.size:
         return problem.solve(start)
@@ -202,8 +216,9 @@ def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = Ma
 
 
 def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the fit, or if a contained model is better, the local minimum next to that. near: a smaller model's
-    fit.
+    """Return the fit `found` or, if a contained model is better, the local minimum next to that model's fit.
+
+    near: the nonlinear parameters of a smaller model's fit, by name.
     """
     for nonlinear in _contained(problem, found, near):
         seen = solve_or_none(problem, nonlinear, found)
@@ -214,7 +229,7 @@ def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] =
 
 
 def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Iterator[Array]:
-    """Yield the nonlinear parameters (q,) of the contained models, as far as they are within the bounds.
+    """Yield the nonlinear parameters (q,) of the contained models, if they are within the bounds.
 
     A parameter without an absent value keeps its value: another parameter of its term removes both.
     """
@@ -229,7 +244,10 @@ def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Itera
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum reached from the best of a few starting values. near: those roughly known."""
+    """Return the local minimum reached from the best of a few starting values.
+
+    near: approximate values of some nonlinear parameters, by name.
+    """
     tried = []
     for parameter, low, high in zip(problem.model.nonlinear, problem.low, problem.high, strict=True):
         parts, name = np.array(parameter.starts), parameter.name
@@ -252,8 +270,9 @@ def _other_starts(problem: Problem, first: Fit, best: Fit, starts: list[Fit]) ->
     the bounds.
 
     first and best: the fits at the beginning and at the end of that descent. Starts with equal fits, such as those of a
-    zero gap wherever its middle is, count once. A delay and a damping can replace each other to second order with one
-    of them negative: if a descent ends at a bound, the optimum may be reached from a start that is at none.
+    zero gap wherever its middle is, are treated as one start. A delay and a damping can replace each other to second
+    order, one of them negative: if a descent ends at a bound, the optimum may be reached from a start that is at no
+    bound.
     """
     if problem.model.needs_ratio:  # with the ratio at the end
         first = problem.solve(first.nonlinear, best)
@@ -275,7 +294,7 @@ def _fitness(found: Fit) -> float:
 def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit | None:
     """Return the minimum for nonlinear parameters (q,); None if the columns are nearly collinear.
 
-    Contact is that of the fit `near`, if given, which is enough to compare local minima.
+    near: a fit whose contact of surfaces is used, if given; that is enough to compare local minima.
     """
     try:
         return problem.solve(nonlinear, near, agreements=0 if near else _AGREEMENTS)
@@ -284,16 +303,16 @@ def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit |
 
 
 def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fit:
-    """Return the local minimum next to nonlinear parameters (q,), within the bounds.
+    """Return the local minimum next to the nonlinear parameters `start` (q,), within the bounds.
 
-    converged: the fraction of the fitness that a step gains, and its length as a fraction of the bounds' width, at the
-    end.
+    converged: the limits at which the descent ends: the fraction of the fitness that a step gains, and the length of a
+    step as a fraction of the bounds' width.
     """
     return _descent(problem, start, converged)[1]
 
 
 def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit]:
-    """Return the fit at the start, and what `descend` returns."""
+    """Return two fits: the fit at the start, and the result of `descend`."""
     solved = problem._solved(np.clip(start, problem.low, problem.high))
     first, count = solved.fit, problem.low.size
     for _ in range(_STEPS if count else 0):
@@ -313,8 +332,8 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
 
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
-    """Return the fit after the first of successively shorter steps that lowers the fitness, with what it was solved
-    with.
+    """Return the first fit, of successively shorter steps from `best`, with a lower fitness, together with its linear
+    problem; None if no step has one.
     """
     for halving in range(_HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
@@ -327,9 +346,9 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
 
 
 def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | None:
-    """Return the fit for nonlinear parameters (q,), with what it was solved with; None if no optimum is proven.
+    """Return the fit for nonlinear parameters (q,), together with its linear problem; None if no optimum is proven.
 
-    A step that cannot be solved counts as no improvement, and does not end the search.
+    A step that cannot be solved is treated as no improvement, and does not end the search.
     """
     try:
         return problem._solved(nonlinear, near)
@@ -338,9 +357,10 @@ def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | 
 
 
 def compass_search(problem: Problem, best: Fit) -> Fit:
-    """Return the local minimum of a fitness made rough by breaks: both ways along each parameter, with shrinking steps.
+    """Return the local minimum of a fitness made rough by breaks: steps both ways along each parameter, with shrinking
+    lengths.
 
-    Where the minimum is long and narrow, a few steps show its direction, and growing steps follow it (Hooke and Jeeves
+    If the minimum is long and narrow, a few steps show its direction, and growing steps follow it (Hooke and Jeeves
     1961).
     """
     steps, length, path = _rough(problem), _FIRST, [best]
@@ -359,7 +379,7 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
 
 
 def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
-    """Return the lowest fit on the line from a first fit through the best one, with doubling steps."""
+    """Return the lowest fit on the line from the fit `first` through the fit `best`, with doubling steps."""
     step = best.nonlinear - first.nonlinear
     while True:
         tried = _solved_or_none(problem, np.clip(best.nonlinear + step, problem.low, problem.high), best)

@@ -1,4 +1,6 @@
-"""The cubic spline through samples: twice differentiable, and smooth beside both ends too (de Boor 1978)."""
+"""The cubic spline through samples: twice differentiable, with a continuous third derivative beside both ends (de Boor
+1978).
+"""
 
 from __future__ import annotations
 
@@ -20,14 +22,17 @@ _FEWEST: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Spline:
-    """Curves through knots (n,), s, rising. parts (n-1, k, m): coefficients of the polynomials, the constant first."""
+    """Curves through knots (n,), s, rising.
+
+    parts (n-1, k, m): coefficients of the polynomials of m curves, the constant first.
+    """
 
     knots: Array
     parts: Array
 
     @classmethod
     def through(cls, knots: Array, values: Array) -> Spline:
-        """Return the curves through values (k, n), as scipy's CubicSpline has them, which takes 0.2 s to import.
+        """Return the curves through values (k, n), equal to scipy's CubicSpline, which takes 0.2 s to import.
 
         Raises ValueError for fewer than two knots.
         """
@@ -41,7 +46,9 @@ class Spline:
         return cls(np.ascontiguousarray(knots), np.ascontiguousarray(parts.T))
 
     def __call__(self, times: Array) -> Array:
-        """Return the values (k, m) at times (m,) s, rising; outside, as the ends continue."""
+        """Return the values (k, m) at times (m,), s, rising; outside the knots, the polynomials at the ends
+        continue.
+        """
         found = np.empty((self.parts.shape[1], len(times)))
         evaluate(self.knots, self.parts, np.ascontiguousarray(times), found)
         return found
@@ -53,7 +60,9 @@ class Spline:
 
 
 def _slopes(knots: Array, values: Array) -> Array:
-    """Return the slopes (k, n) that make the second derivative continuous, and the third one beside the ends."""
+    """Return the slopes (k, n) that make the second derivative continuous, and beside the ends the third derivative
+    too.
+    """
     if len(knots) < _FEWEST:
         return np.asarray(np.gradient(values, knots, axis=1, edge_order=2 if len(knots) > 2 else 1))
     from scipy.linalg import solve_banded

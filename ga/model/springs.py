@@ -19,21 +19,23 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 LONGEST_RELAXATION: Final = 10.0
-"""The longest relaxation time of a Maxwell branch, s, and as a fraction of the recording; see `LONGEST_ONCE` for the
-alternative.
+"""The longest relaxation time of a Maxwell branch: in s, and as a fraction of the recording. See also
+`LONGEST_ONCE`.
 """
 
 LONGEST_ONCE: Final = 0.5
-"""The longest relaxation time, s, in a motion that does not repeat: a slower branch looks like friction or a drift
-there.
+"""The longest relaxation time of a Maxwell branch, s, for a motion that does not repeat: there a slower branch looks
+like friction or a drift.
 """
 
 STEEPEST: Final = 6.0
-"""The largest product of exponent and deflection: the stiffness rises e^6 times as fast there as at rest."""
+"""The largest product of exponent and deflection: at that deflection the stiffness rises e^6 times as fast as at
+rest.
+"""
 
 SHORTEST_RELAXATION: Final = 0.02
-"""The shortest relaxation time of a Maxwell branch, in shortest periods of the motion: below it, it equals a
-damping.
+"""The shortest relaxation time of a Maxwell branch, in shortest periods of the motion: a branch with a shorter time
+equals a damping.
 """
 
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
@@ -66,14 +68,18 @@ def _furthest(motion: Motion) -> float:
 
 
 def risen(angle: Array, exponent: float) -> Array:
-    """Return (e^u - 1)/exponent, rad, with u = exponent x angle, at angles (n,), rad: the rise of the stiffness."""
+    """Return the rise of an exponential stiffness per unit: (e^u - 1)/exponent, rad, with u = exponent x angle, at
+    angles (n,), rad.
+    """
     import numpy as np
 
     return angle if exponent == 0.0 else np.expm1(exponent * angle) / exponent
 
 
 def _lifted(angle: Array, exponent: float) -> Array:
-    """Return the torque of that rise, (n,) rad^2: 2 (e^u - 1 - u)/exponent^2, which is angle^2 for small u."""
+    """Return the torque of an exponential stiffness per unit: 2 (e^u - 1 - u)/exponent^2 (n,), rad^2, which is angle^2
+    for small u.
+    """
     import numpy as np
 
     stretch = exponent * angle
@@ -111,7 +117,7 @@ def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 
 
 def _unrelaxed(regressors: Regressors, values: Array) -> Array:
-    """Return values (n,) of the deflection less the part that a Maxwell branch has relaxed."""
+    """Return values (n,) computed from the deflection, less the part that a Maxwell branch has relaxed."""
     return values - regressors.motion.lagged(values, float(regressors.own[0]))
 
 

@@ -1,4 +1,6 @@
-"""Where friction may hold the joint, and where its torque cannot be distinguished from that of a spring."""
+"""Find the samples in which friction may hold the joint, and the motions in which its torque looks like that of a
+spring.
+"""
 
 from __future__ import annotations
 
@@ -13,55 +15,64 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STUCK: Final = 0.075
-"""The fraction of the samples, the slowest, in which friction may hold the joint, so that its sign is unknown."""
+"""The fraction of the samples, the slowest ones, in which friction may hold the joint, so that the sign of friction is
+unknown.
+"""
 
 RESTS: Final = 10.0
 QUIET: Final = 0.05
-"""The joint rests where many samples are slower than this many times the rate's noise, if that is below this fraction
-of the r.m.s. rate. In motion through zero at most 4 % of the samples are so slow.
+"""The joint rests if many samples are slower than RESTS times the rate's noise, provided that this rate is below QUIET
+times the r.m.s. rate. In motion through zero at most 4 % of the samples are so slow.
 """
 
 AT_REST: Final = 0.9
 FROM_REST: Final = 0.01
-"""The weight, in a low-passed sample, of samples in which friction may hold the joint: above the first the joint rests,
-below the second their friction is negligible.
+"""Limits for the weight, in a low-passed sample, of samples in which friction may hold the joint.
+
+Above AT_REST the joint rests; below FROM_REST the friction of these samples is negligible.
 """
 
 OFTEN: Final = 0.1
 FROM_ONE_SIDE: Final = 0.8
-"""The fraction of each move (median) that is a rest, and the correlation of the place with the direction of arrival,
-above which friction at rest has the torque of a spring.
+"""Limits above which friction at rest has the torque of a spring.
+
+OFTEN: for the fraction of each move (median) that is a rest. FROM_ONE_SIDE: for the correlation of the deflection at
+rest with the direction of arrival.
 """
 
 LATER: Final = 2
 HIDDEN: Final = {2: 125.0, 3: 50.0}
 OF_SPRING: Final = 0.5
-"""Samples between two places; and for each number of places the variance inflation above which friction cannot be
-distinguished from a function of them, and the fraction of it that is then stiffness, at the ends of the range. With
-two places the inflation is 190 or more behind first-order drives (filtering of the angle rounds the start of each
-move) and 90 or less behind second-order ones. With three it is 120 or more behind second-order drives that hardly
-overshoot, and 17 or less in other motions.
+"""Limits above which friction cannot be distinguished from a function of the deflections at several times.
+
+LATER: the number of samples between two such deflections. HIDDEN: for each number of deflections, the variance
+inflation of friction above which friction is not distinguishable. OF_SPRING: the fraction of friction that is then
+stiffness, at the ends of the range. With two deflections the inflation is 190 or more behind first-order drives
+(filtering of the angle rounds the start of each move) and 90 or less behind second-order ones. With three it is 120 or
+more behind second-order drives that hardly overshoot, and 17 or less in other motions.
 """
 
 NOISY: Final = 0.5
 FINEST: Final = 0.001
 SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term, relative to the rate's noise, and its limits relative to the r.m.s. rate. It must be a sign
-where friction slides: 1.3 % of softness takes 1.3 % off Bc.
+"""v_s of the Coulomb term is NOISY times the rate's noise, but at least FINEST and at most SMOOTHEST times the r.m.s.
+rate.
+
+While friction slides, the term must equal the sign of the rate: if it is too small by 1.3 %, Bc is too small by 1.3 %.
 """
 
 SIGNED: Final = 3.0
 FULL: Final = 0.02
-"""The rate, in multiples of v_s, from which the Coulomb term equals the sign of the rate (0.995 of it); and the
-fraction of the r.m.s. rate above which friction has its full size.
+"""Friction has its full size above SIGNED times v_s, where the Coulomb term equals the sign of the rate (0.995 of it),
+and above FULL times the r.m.s. rate.
 """
 
 
 def slowest(motion: Motion) -> float:
-    """Return the rate, rad/s, below which friction may hold the joint; 0 if noise hides which samples these are.
+    """Return the rate, rad/s, below which friction may hold the joint; 0 if noise hides which samples are so slow.
 
-    At rest the sign of the rate is that of its noise, and as the joint comes to rest the term is softer than friction.
-    The rate is taken from the data because rates differ by four decades between stands.
+    At rest the sign of the measured rate is that of its noise, and as the joint comes to rest the Coulomb term falls
+    earlier than friction does. The rate is derived from the data because rates differ by four decades between stands.
     """
     import numpy as np
 
@@ -75,7 +86,7 @@ def slowest(motion: Motion) -> float:
 
 
 def smoothing(motion: Motion) -> float:
-    """Return v_s of the Coulomb term, rad/s."""
+    """Return v_s of the Coulomb term, rad/s, for a motion: the rate over which the term changes its sign."""
     import numpy as np
 
     if not len(motion):
@@ -85,11 +96,11 @@ def smoothing(motion: Motion) -> float:
 
 
 def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
-    """Return for which samples (n,) the computed rate has the wrong direction, because the joint reverses there.
+    """Return the samples (n,) for which the computed rate has the wrong direction, because the joint reverses nearby.
 
-    The rate is that of a window. Where the acceleration jumps, the window reverses before the joint does, and the
-    friction of the samples between has the wrong sign. The slope from one neighbour to the other shows it, as far as
-    noise allows.
+    The rate is computed with a window. Where the acceleration jumps, the computed rate reverses before the joint does,
+    and the friction of the samples between has the wrong sign. The slope from the previous to the next sample shows the
+    true direction, if it is larger than noise.
     """
     import numpy as np
 
@@ -109,7 +120,8 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
 
 
 def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which samples (n,) contain friction from where the joint rests, spread by the torque's filter.
+    """Return the samples (n,) that contain friction from samples in which the joint rests, spread by the torque's
+    filter.
 
     held (n,): whether friction may hold the joint. A reversal is short compared with the filter, and the size of
     friction is known on both sides of it.
@@ -129,8 +141,8 @@ def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def looks_like_spring(motion: Motion) -> bool:
     """Return whether friction at rest would have the torque of a spring in this motion.
 
-    It does if the joint reaches one place from one side and another place from the other, as in a binary sequence. A
-    chirp is slow only at the turning points of its slow end.
+    It would if the joint reaches one deflection from one side and another deflection from the other, as in a binary
+    sequence. A chirp is slow only at the turning points of its slow end.
     """
     import numpy as np
 
@@ -147,12 +159,13 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
     """Return whether friction has, in the whole motion, the torque of stiffness and damping, or of these and an
     inertia.
 
-    inertia: whether the model has one, or an early torque reading, which differs by the torque of damping and inertia.
+    inertia: whether the model has an inertia or an early torque reading, which has the torque of damping and inertia.
 
-    It does behind a first-order drive that moves between two places: the rate is proportional to the remaining way, and
-    friction keeps its direction until the next step. The direction is then a linear function of the place, and of the
-    place a few samples later. The rate itself is not used, because beside a step it depends on the window. Behind a
-    second-order drive that hardly overshoots, the place after a few more samples is needed too.
+    Friction has this torque behind a first-order drive that moves between two deflections: the rate is proportional to
+    the remaining distance, and friction keeps its direction until the next step. The direction is then a linear
+    function of the deflection, and of the deflection a few samples later. The rate itself is not used, because beside a
+    step it depends on the window. Behind a second-order drive that hardly overshoots, the deflection after a few more
+    samples is needed too.
     """
     import numpy as np
 
@@ -185,7 +198,9 @@ def _resting(motion: Motion) -> NDArray[np.bool_]:
 
 
 def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
-    """Return the sign (n,) of friction that keeps its direction while the joint rests (n,)."""
+    """Return the sign (n,) of friction, which keeps its direction while the joint rests. resting (n,): whether the
+    joint rests.
+    """
     import numpy as np
 
     last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before

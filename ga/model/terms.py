@@ -1,4 +1,4 @@
-"""The table of coupling terms, and the names of models made of them."""
+"""The table of coupling terms, and the names of models, which are made of names of terms."""
 
 from __future__ import annotations
 
@@ -62,17 +62,18 @@ CONSIDERED: Final = tuple(
 """The terms that model selection considers for every recording."""
 
 RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
-"""The terms that model selection considers only if those do not describe the recording."""
+"""The rare terms, which model selection considers only if the terms in `CONSIDERED` do not describe the recording."""
 
 
 class UnknownTerm(ValueError):
-    """A model names an unknown term; the message lists the known ones."""
+    """The error that a model names an unknown term; the message lists the known ones."""
 
 
 def add(term: Term) -> None:
-    """Add a term of another package: a model can then name it; model selection does not consider it.
+    """Add a term of another package to the table: a model can then name the term, but model selection does not consider
+    it.
 
-    Raises ValueError if a term or a parameter has its name already.
+    Raises ValueError if a term or a parameter with its name exists already.
     """
     if TERMS.get(term.name) == (named := replace(term, selection="named")):
         return
@@ -104,25 +105,24 @@ def canonical(name: str) -> str:
 
 
 def is_addable(term: str, terms: Collection[str]) -> bool:
-    """Return whether a term can be added to a model of these terms: it is not in it, and none of them excludes it.
+    """Return whether a term can be added to a model of these terms: the model has neither the term nor one that
+    excludes it.
 
-    A term that lacks the one it needs cannot be added either.
+    A term whose needed term is missing cannot be added either.
     """
     return term not in terms and not lacking(term, terms) and not any(_excluded(term, other) for other in terms)
 
 
 def lacking(term: str, terms: Collection[str]) -> str:
-    """Return the term that this one needs in addition to these terms; empty if it needs none or one of them is
-    present.
-    """
+    """Return the term that this term needs and that is missing in `terms`; empty if no term is missing."""
     needs = TERMS[term].needs
     return "" if not needs or {needs, *TERMS[term].or_needs}.intersection(terms) else needs
 
 
 def with_another(terms: Collection[str], term: str, *, complete: bool = False) -> tuple[str, ...]:
-    """Return the terms with one more; a rare one replaces those that it excludes.
+    """Return the terms with `term` added; a rare term replaces the terms that it excludes.
 
-    complete: also add the term that it needs, unless that is a rare one.
+    complete: whether to add the term that `term` needs too, unless the needed term is rare.
     """
     others = tuple(other for other in terms if other != term)
     others = _beside((term,), others) if term in RARER else others
@@ -132,7 +132,7 @@ def with_another(terms: Collection[str], term: str, *, complete: bool = False) -
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
-    """Return the name of the model of the term, the one that it needs, and those of the terms that it does not
+    """Return the name of a model of the given term, the term that it needs, and those of `terms` that these do not
     exclude.
     """
     needed = lacking(term, terms) or term
@@ -141,7 +141,7 @@ def compatible_model(term: str, terms: Collection[str]) -> str:
 
 
 def _beside(given: Collection[str], terms: Collection[str]) -> tuple[str, ...]:
-    """Return those of the terms that the given ones do not exclude, and that keep what they need."""
+    """Return those of `terms` that the given terms do not exclude, and that do not lose a term that they need."""
     kept = tuple(term for term in terms if not any(_excluded(one, term) for one in given))
     lost = [term for term in kept if lacking(term, (*kept, *given)) and not lacking(term, terms)]
     return tuple(term for term in kept if term not in lost)

@@ -1,4 +1,4 @@
-"""The motion of the joint on one time base, from which a coupling model computes its columns."""
+"""The motion of the joint, from which a coupling model computes its columns."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ V = TypeVar("V")
 
 
 class Filter(Protocol):
-    """The filter that the readings went through, the same for all.
+    """The filter that the readings of torque and angle went through, the same for all.
 
-    longest_step: the longest time between two samples, s, at which it is possible. of_every: returns the filter for
-    every n-th sample.
+    longest_step: the longest time between two samples, s, at which the filter is possible. of_every: returns the filter
+    for a signal with only every n-th sample.
     """
 
     @property
@@ -38,47 +38,52 @@ class Filter(Protocol):
 
 
 FORGOTTEN: Final = 30.0
-"""The number of time constants after which a state is gone within floating-point precision."""
+"""The number of time constants after which an initial state has no effect within floating-point precision."""
 
 _APART: Final = 300.0
-"""The motion is a single sine if the variance of the acceleration exceeds this many times the part not explained by
-deflection and rate.
+"""The limit of a variance ratio above which the motion is a single sine.
+
+The ratio is the variance of the acceleration over that of its part that deflection and rate do not explain.
 """
 
 _TINY: Final = 1e-300
 
 _AGAIN: Final = 4
-"""The number of passes below which a change in time cannot be separated from a difference between the directions."""
+"""The number of passes of the joint below which a change in time cannot be separated from a difference between the
+directions.
+"""
 
 _UNSURE: Final = 0.005
 _UNLIKE: Final = 8.0
-"""The fraction of the r.m.s. value, and the multiple of the usual difference or noise, up to which two windows agree on
-a slope.
+"""Limits for the difference of two windows' slopes below which the slopes agree.
+
+_UNSURE: as a fraction of the r.m.s. value. _UNLIKE: as a multiple of the usual difference or of the noise.
 """
 
 _DENSE: Final = 0.25
-"""The time between samples, relative to that in which the rate changes by its own size, at which they are dense enough
-to interpolate.
+"""The largest time between samples at which interpolation is possible, relative to the time in which the rate changes
+by its own size.
 """
 
 _FEWEST: Final = 50
-"""The number of samples that each piece keeps in a coarser motion."""
+"""The smallest number of samples of each piece in a coarser motion."""
 
 _MOST_KEPT: Final = 2
-"""The number of delays, and of models with parameters, whose results are kept."""
+"""The number of delays, and the number of models with their parameters, whose results are cached."""
 
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Arrays of one length (n,): time s, dtheta rad, dtheta_dot rad/s, dtheta_ddot rad/s^2, known N m.
+    """The motion of the joint, as arrays (n,): time s, dtheta rad, dtheta_dot rad/s, dtheta_ddot rad/s^2, known N m.
 
     known: the part of the measured torque that is not the coupling's and needs no parameter, such as the motor's own
     inertia in equation (1). starts: the first sample of each piece, beginning with 0. A piece is a part of one
-    recording without gaps; nothing is interpolated from one to the next. rate_noise: the noise of the rate, rad/s;
-    None: unknown. behind: the filter that the torque and all parts of the motion went through; None: none. part_of: the
-    motion that this one is some rows of, and these rows; None: it is whole. Raises ValueError if the lengths differ.
+    recording without gaps; nothing is interpolated from one piece to the next. rate_noise: the noise of the rate,
+    rad/s; None if unknown. behind: the filter that the torque and all parts of the motion went through; None without a
+    filter. part_of: the larger motion, and the rows of it that this motion consists of; None if this motion is whole.
+    Raises ValueError if the lengths differ.
     """
 
     time: Array
@@ -102,13 +107,15 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return what is sent to another process: functions cannot be sent, so the filters are made anew there."""
+        """Return the state for another process, without the cached filters: functions cannot be sent, so the other
+        process makes them anew.
+        """
         return {name: value for name, value in self.__dict__.items() if name != "_filters"}
 
     @property
     def passes(self) -> int:
-        """Return how often the joint crossed a quarter of its range, in either direction; the quarter crossed most
-        often counts.
+        """Return how often the joint crossed a quarter of its range completely, in either direction, for the quarter
+        crossed most often.
         """
         import numpy as np
 
@@ -119,25 +126,29 @@ class Motion:
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion crosses its range often enough to separate changes in time from those with
-        direction.
+        """Return whether the motion crosses its range often enough to separate changes in time from differences between
+        directions.
         """
         return self.passes >= _AGAIN
 
     @property
     def has_one_frequency(self) -> bool:
-        """Return whether the acceleration follows from deflection and rate, as in a single sine."""
+        """Return whether deflection and rate determine the acceleration, as in a single sine."""
         coupling = np.stack([self.dtheta, self.dtheta_dot, np.ones(len(self))], axis=1)
         left = self.dtheta_ddot - coupling @ np.linalg.lstsq(coupling, self.dtheta_ddot, rcond=None)[0]
         return float(np.var(left)) * _APART <= float(np.var(self.dtheta_ddot))
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
-        """Return the motion that this one is a part of, or itself, and its rows in that."""
+        """Return the motion that this motion is a part of (or this motion itself), and the rows of this motion in the
+        larger one.
+        """
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
-        """Return some of the samples, which are still delayed and lagged as exactly as in the whole motion."""
+        """Return the motion at the samples `rows`; delays and lags of the result are as exact as in the whole
+        motion.
+        """
         chosen = np.arange(len(self))[rows]
         whole, places = self.whole
         return replace(
@@ -148,10 +159,10 @@ class Motion:
         )
 
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
-        """Return some of the samples, `fewest` or more, in a coarser whole motion, and their indices (k,).
+        """Return `fewest` or more samples of the motion, as a part of a coarser whole motion, and their indices (k,).
 
-        Effects with memory cost a step for each sample of the whole motion. To find a starting point, as many
-        samples as interpolation needs are enough.
+        Effects that depend on earlier samples cost a step for each sample of the whole motion. To find a starting
+        point, the samples that interpolation needs are enough.
         """
         whole, places = self.whole
         rows = np.arange(len(whole))[places]
@@ -168,16 +179,18 @@ class Motion:
 
     @cached_property
     def _longest_stride(self) -> int:
-        """Return how many times further apart the samples may be and still be dense enough to interpolate."""
+        """Return the largest factor by which the distance between samples can grow while they remain dense enough to
+        interpolate.
+        """
         fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
         longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
         return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
 
     def at(self, time: Array) -> Motion:
-        """Return the motion interpolated at other times (m,), s, rising, except those between two pieces or alone in
-        one.
+        """Return the motion interpolated at other times (m,), s, rising, without times between two pieces and times
+        alone in a piece.
 
-        It is a part of a whole motion as dense as this one, so it is delayed and lagged as exactly.
+        The result is a part of a whole motion as dense as this one, so its delays and lags are as exact.
         """
         inside = [time[(time >= self.time[a]) & (time <= self.time[b - 1])] for a, b in self._stretches()]
         inside = [part if len(part) > 1 else part[:0] for part in inside]  # no curve leads through one
@@ -206,27 +219,29 @@ class Motion:
     def delayed(self, delay: float) -> Motion:
         """Return the motion `delay` seconds before each time; before the start of a piece it is extrapolated.
 
-        The last results are kept: a descent needs columns, torque and their derivatives at one delay after the other.
+        The last results are cached: a descent needs columns, torque and their derivatives for several delays in turn.
         """
         if delay == 0.0:
             return self
         return _kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
 
     def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
-        """Return what the states at the beginning of each piece can explain: `ga.model.memory.beginnings`.
+        """Return the signals that the unknown states at the beginning of each piece can cause; see
+        `ga.model.memory.beginnings`.
 
-        left (k, n): as there. key: the model and its parameters, because columns and torque need the same result.
+        left (k, n): see there. key: the model and its parameters, by which the result is cached, because columns and
+        torque need the same result.
         """
         from ga.model.memory import beginnings
 
         return _kept(self._begun, key, lambda: beginnings(left(), self.stretch))
 
     def changing(self, delay: float) -> Motion:
-        """Return the derivative of each part, per second, `delay` seconds before each time."""
+        """Return the time derivative of each array of the motion, per second, `delay` seconds before each time."""
         return self._evaluated(delay, self._changes)
 
     def lagged(self, values: Array, constant: float) -> Array:
-        """Return values (n,) or (n, k) behind a first-order lag of `constant` s that has settled at the start of each
+        """Return values (n,) or (n, k) behind a first-order lag of `constant`, s, that has settled at the start of each
         piece.
 
         Exact for values that are cubic between two times, with slopes from central differences.
@@ -269,15 +284,16 @@ class Motion:
         return self._frictional(memory.presliding, length)
 
     def bristles(self, length: float, rise: float, over: float) -> Array:
-        """Return LuGre's friction (n,), 1 at speed and 1 + rise at rest, which falls over a rate, rad/s, and builds up
-        over a length.
+        """Return LuGre's friction (n,), 1 at speed and 1 + rise at rest.
+
+        length: the deflection over which the friction builds up, rad. over: the rate over which it falls, rad/s.
         """
         from ga.model import memory
 
         return self._frictional(memory.bristles, length, rise, over)
 
     def yielding(self, length: float) -> Array:
-        """Return the friction state of Bouc and Wen, (n,) -1 to 1, which builds up over `length` rad."""
+        """Return the friction state of Bouc and Wen (n,), -1 to 1, which builds up over `length`, rad."""
         from ga.model import memory
 
         return self._frictional(memory.yielding, length)
@@ -286,9 +302,10 @@ class Motion:
         return np.concatenate([law(time, rate, *own)[rows] for time, rate, rows in self._turning])
 
     def fading(self, passed: Array, constant: float) -> Array:
-        """Return the remaining weight (n,), 1 to 0, of the state at the start of each piece.
+        """Return the weight (n,), 1 to 0, that the state at the start of its piece still has at each sample.
 
-        passed (n,): the time or the way since then. constant: in its unit, after which 1/e remains; 0: one sample.
+        passed (n,): the time or the distance since the start. constant: the time or distance after which the weight is
+        1/e; 0: the weight lasts one sample.
         """
         if not constant > 0.0:
             whole, rows = self.whole
@@ -306,7 +323,9 @@ class Motion:
 
     @cached_property
     def travelled(self) -> Array:
-        """Return the distance (n,), rad, that the joint travelled since the start of its piece, back and forth."""
+        """Return the distance (n,), rad, that the joint has travelled since the start of its piece, in both directions
+        together.
+        """
         if self.part_of is not None:
             return self.part_of[0].travelled[self.part_of[1]]
         moved = (np.diff(time) * 0.5 * np.abs(rate[:-1] + rate[1:]) for time, rate, _ in self._turning)
@@ -330,8 +349,8 @@ class Motion:
 
     @cached_property
     def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
-        """Return for each piece times, s, and rates, rad/s, with an added sample at each reversal, and which samples
-        are original.
+        """Return for each piece times, s, and rates, rad/s, with an added sample at each reversal, and the indices of
+        the original samples.
         """
         from ga.model.memory import with_turns
 
@@ -339,14 +358,14 @@ class Motion:
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:
-        """Return the filter of the values in each piece, as a function."""
+        """Return for each piece a function that filters values (n,) of the piece."""
         stretches = self._stretches()
         return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
 
     @cached_property
     def _curves(self) -> tuple[Spline, ...]:
-        """Return splines through the four parts of each piece; nearly exact where samples are much denser than the
-        motion.
+        """Return splines through deflection, rate, acceleration and known torque of each piece; nearly exact if samples
+        are dense.
         """
         from ga.model.spline import Spline
 
@@ -361,7 +380,9 @@ class Motion:
 
 
 def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
-    """Return the value made for a key; the last few are kept, so that two interleaved searches have one each."""
+    """Return the cached value for a key, computed by `make` at first. A few values are cached, so that two alternating
+    searches have one each.
+    """
     value = found.get(key)
     if value is None:
         value = make()
@@ -374,15 +395,15 @@ def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
 def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
     """Return the difference above which a motion is not smooth in a window, in the values' unit.
 
-    apart (n,): by how much derivatives of the deflection in two windows differ. values (n,): the derivative in one of
-    them. noise: its standard deviation. Unknown values are NaN.
+    apart (n,): the differences between derivatives of the deflection in two windows. values (n,): the derivative in one
+    of them. noise: its standard deviation. Unknown values are NaN.
     """
     usual = float(np.sqrt(np.nanmean(values**2)))
     return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
 
 def joined(motions: Sequence[Motion]) -> Motion:
-    """Return motions concatenated, each of them starting a piece of its own."""
+    """Return the motions concatenated; each begins a new piece."""
     noises = [motion.rate_noise for motion in motions if motion.rate_noise is not None]
     firsts = np.cumsum([0, *(len(motion) for motion in motions[:-1])])
     starts = tuple(int(first) + start for first, motion in zip(firsts, motions, strict=True) for start in motion.starts)
@@ -410,7 +431,7 @@ def _joined_wholes(motions: Sequence[Motion]) -> tuple[Motion, NDArray[np.int64]
 
 
 def _subdivided(time: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return times (n,), s, at most about `step` apart, that include those asked for, and which of them these are."""
+    """Return times (n,), s, at most about `step` apart, that include the given times, and which of them were given."""
     if len(time) < 2:
         return time, np.ones(len(time), dtype=bool)
     parts = np.maximum(np.round(np.diff(time) / step), 1.0).astype(np.int64)

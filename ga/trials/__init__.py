@@ -1,1 +1,1 @@
-"""Independent trials, their checkpoint, and the search over nonlinear parameters."""
+"""Independent trials of a search, their checkpoint, and the search over nonlinear parameters."""

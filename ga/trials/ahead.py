@@ -1,7 +1,7 @@
-"""Compile the search of the `default` preset ahead of its use: `python -m ga.trials.ahead`, in a process of its own.
+"""Compile the search of the `default` preset ahead of its use: `python -m ga.trials.ahead`, in a separate process.
 
-Half of what a first run compiles is the search, which comes last. A second process compiles it while the first prepares
-the recording and selects the model; `ga.compiled` keeps the two from compiling the same function.
+Half of the compilation in a first run is the search, which comes last. A second process compiles the search while the
+first process prepares the recording and selects the model; `ga.compiled` prevents that both compile the same function.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def is_worthwhile() -> bool:
 
 
 def compile_search() -> None:
-    """Compile the search by one of three parameters: the longest first, so that what is left may be compiled beside it.
+    """Compile the search by running one with three parameters, the functions that take longest first.
 
-    The first process compiles the short parts itself where it needs them before this one comes to them.
+    The first process compiles the short functions itself if it needs them before this process comes to them.
     """
     angle, settings = np.linspace(0.0, 20.0, 200), PRESETS["default"]
     columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(angle)])
@@ -38,7 +38,9 @@ def compile_search() -> None:
 
 
 def compile_states() -> None:
-    """Compile what model selection and the averages need last, the latest first: the first process comes from there."""
+    """Compile the functions that model selection and averaging need, the last needed first, because the first process
+    begins with the others.
+    """
     time = np.linspace(0.0, 1.0, 200)
     lagged(time, time, 0.1)
     presliding(time, time, 0.1)

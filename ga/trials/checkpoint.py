@@ -1,8 +1,7 @@
-"""The state of a long run of trials on disk, from which the run can be resumed.
+"""Save the state of a long run of trials on disk, and resume the run from it.
 
-One NumPy archive (.npz, no pickles), replaced as a whole: a reader sees the old state or the new one. Beside the
-populations it holds what they belong to, and a run with other data, bounds, settings, seed or number of trials is
-refused.
+The file is a NumPy archive (.npz, no pickles), replaced as a whole: a reader gets the old state or the new one. The
+file also identifies its run; a run with other data, bounds, settings, seed or number of trials is refused.
 """
 
 from __future__ import annotations
@@ -30,15 +29,19 @@ if TYPE_CHECKING:
 
 
 _DAMAGED = (ValueError, KeyError, TypeError, AttributeError, EOFError, OverflowError, MemoryError, RuntimeError)
-"""The errors of NumPy, json and zipfile for damaged files; RecursionError and NotImplementedError are RuntimeErrors."""
+"""The exceptions that NumPy, json and zipfile raise for damaged files; RecursionError and NotImplementedError are
+RuntimeErrors.
+"""
 
 
 class WrongCheckpoint(ValueError):
-    """A checkpoint that cannot be resumed: it is of another run, or is no checkpoint."""
+    """The error that a checkpoint cannot be resumed: it is of another run, or is no checkpoint."""
 
 
 class SearchState(NamedTuple):
-    """The population and the record of every trial; a record is the best fitness, N m, at each point of the history."""
+    """The population and the record of every trial. A record contains the best fitness, N m, at each point of the
+    history.
+    """
 
     populations: list[Population]
     records: NDArray[np.float64]
@@ -53,7 +56,7 @@ def belonging(
     seed: int,
     trials: int,
 ) -> dict[str, str]:
-    """Return what identifies a run: data, bounds, settings, seed and trials, each as a text."""
+    """Return the texts that identify a run: of its data, bounds, settings, seed and number of trials."""
     data = hashlib.sha256(str(columns.shape).encode())
     for array in (columns, torque):
         data.update(np.ascontiguousarray(array).data)
@@ -67,7 +70,10 @@ def belonging(
 
 
 def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
-    """Write the state, replacing what is there in one step. Raises OSError."""
+    """Write the state to `path`, replacing an older file in one step. Raises OSError.
+
+    belongs: the result of `belonging`.
+    """
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "it is not an ordinary file", str(path))
     arrays = {
@@ -86,9 +92,9 @@ def save(path: Path, belongs: dict[str, str], state: SearchState) -> None:
 
 
 def _check_stored(path: Path) -> None:
-    """Raise ValueError where a part of the file is damaged, or compressed, which could fill the memory.
+    """Raise ValueError if a part of the file is damaged, or compressed: unpacking could fill the memory.
 
-    The compiled search follows the orders in it without looking, so that a changed byte must not get there.
+    The compiled search uses the orders in the file without checking indices, so a damaged byte must not reach it.
     """
     with zipfile.ZipFile(path) as archive:
         if any(part.compress_type != zipfile.ZIP_STORED for part in archive.infolist()):
@@ -104,7 +110,10 @@ def _check_stored(path: Path) -> None:
 
 
 def load(path: Path, belongs: dict[str, str]) -> SearchState:
-    """The state in a file. Raises WrongCheckpoint where it is of another run or none, OSError as opening does."""
+    """Return the state in a file. belongs: the result of `belonging` for this run.
+
+    Raises WrongCheckpoint if the file is of another run or no checkpoint, OSError if it cannot be opened.
+    """
     if not path.is_file():  # a FIFO or a device would block, or never end
         raise WrongCheckpoint(f"{path} is not an ordinary file: name another")
     try:

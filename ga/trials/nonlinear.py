@@ -1,8 +1,10 @@
-"""Many independent searches for a model's nonlinear parameters, the linear ones solved for exactly inside.
+"""Run many independent searches for a model's nonlinear parameters; for each candidate the linear parameters are
+computed exactly.
 
-Each runs the `default` scheme on some hundred rows, where one evaluation costs a fraction of a millisecond, until its
-population has gathered at one local minimum or, of a single parameter, until the best no longer falls. It descends from
-there, on more rows and then on all: trials that end in different local minima differ, others hardly.
+Each search uses the `default` scheme on some hundred rows, where an evaluation takes a fraction of a millisecond. It
+ends when its population has gathered at one local minimum or, for a single parameter, when the best fitness no longer
+falls. From there it descends, on more rows and then on all rows. Trials that reach the same local minimum give nearly
+the same result; others differ.
 """
 
 from __future__ import annotations
@@ -34,13 +36,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _TOLERANCE: Final = 1e-2
-"""Spread of the population's fitness at which it has gathered at one local minimum."""
+"""The relative spread of the population's fitness at which the population has gathered at one local minimum."""
 
 _IDLE: Final = 10
 _GAINED: Final = 1e-2
-"""Generations in which the best fitness falls by less than this part of it, after which a search for one parameter has
-found its local minimum: the descent from there needs no population that has gathered. Of several parameters the
-direction to a narrow minimum is to be found first, which may take longer."""
+"""If the best fitness falls by less than the fraction _GAINED in _IDLE generations, a search for one parameter has
+found its local minimum.
+
+The descent from there needs no gathered population. A search for several parameters must first find the direction to a
+narrow minimum, which may take longer.
+"""
 
 _POLL: Final = 0.1
 
@@ -66,11 +71,11 @@ def search_nonlinear(
     workers: int,
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Trials, Fit]:
-    """Search `trials` times for the nonlinear parameters of a model; genes are all its parameters, (p + q,).
+    """Run `trials` searches for the nonlinear parameters of a model.
 
-    Returns the trials and the fit of the best, which is never worse than the models that this one contains. The result
-    does not depend on `workers`. Ctrl-C ends the searches where they are: what is found so far is returned.
-    Raises ValueError for settings that are not of the generational scheme.
+    Returns the trials, whose genes are all parameters (p + q,), and the fit of the best trial, which is never worse
+    than the fits of the models that this model contains. The result does not depend on `workers`. Ctrl-C ends the
+    searches: the results so far are returned. Raises ValueError for settings that are not of the generational scheme.
     """
     sketch = problem.sketched()
     bounds = Bounds(problem.low, problem.high)
@@ -92,7 +97,9 @@ def search_nonlinear(
 
 
 def _polish(finished: list[_Trial], problem: Problem) -> None:
-    """Descend from the best trial's local minimum, or a grid's if it is lower, to the lowest place nearby."""
+    """Improve the best trial: descend from its local minimum, or from that of a grid of starting values if it is
+    lower.
+    """
     if finished:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
         found = [compass_search(problem, best.fit)] if best.fit else []
@@ -127,7 +134,10 @@ def _run(trial: _Trial, problem: Problem, sketch: Problem, cancelled: threading.
 
 
 def _is_idle(record: list[float], count: int) -> bool:
-    """Return whether the best fitness of a search for one parameter, of `count`, no longer falls."""
+    """Return whether the best fitness no longer falls. record: the best fitness of each generation.
+
+    count: the number of parameters; always False for more than one.
+    """
     return count == 1 and len(record) > _IDLE and record[-1 - _IDLE] <= (1.0 + _GAINED) * record[-1]
 
 

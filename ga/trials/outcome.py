@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The best fitness so far against the generation, at log-spaced generations (the paper's Figure 8).
+    """The best fitness at log-spaced generations (the paper's Figure 8).
 
-    generation: (m,), from 0, the initial population, on. fitness: (trials, m), N m; a trial that its stop rule ended
-    keeps its last value from there on.
+    generation (m,): the generations, from 0, the initial population, on. fitness (trials, m): the best fitness until
+    each, N m; a trial that its stop rule ended keeps its last value in later generations.
     """
 
     generation: NDArray[np.int64]
@@ -25,7 +25,9 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class Populations:
-    """The chromosomes of the best trial, SI: of its first generation and of its last, (population, p) each."""
+    """The chromosomes of the best trial, SI: those of its first generation and those of its last, (population, p)
+    each.
+    """
 
     first: NDArray[np.float64]
     last: NDArray[np.float64]
@@ -35,10 +37,11 @@ class Populations:
 class Trials:
     """The outcome of the trials.
 
-    genes: (trials, p), the best chromosome of each, SI. fitness: (trials,), N m. evaluations: of all trials together,
-    those known to be hopeless included. generations: (trials,). finished: (trials,), which were not cut short.
-    made: how many of the evaluations were made by this run, not by the one it went on from. processor_seconds: what
-    they took, on all cores together. populations: None where the genes are not what was searched.
+    genes (trials, p): the best chromosome of each trial, SI. fitness (trials,): their fitness, N m. evaluations: the
+    number of evaluations in all trials, including children whose evaluation was skipped because they could not survive.
+    generations (trials,): the number of generations. finished (trials,): which trials were not interrupted. made: the
+    number of evaluations in this run, without those of a resumed run before it. processor_seconds: the processor time
+    of these evaluations, all cores together. populations: None if the searched chromosomes are not the genes.
     """
 
     genes: NDArray[np.float64]
@@ -53,7 +56,7 @@ class Trials:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any trial was stopped before its end."""
+        """Whether any trial was interrupted before its end."""
         return not self.finished.all()
 
     @property
@@ -63,17 +66,19 @@ class Trials:
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """The mean (p,) over the trials."""
+        """The mean (p,) of the genes over the trials."""
         return np.asarray(self.genes.mean(axis=0))
 
     @property
     def std(self) -> NDArray[np.float64]:
-        """The standard deviation (p,) over the trials, with n - 1; NaN for a single trial."""
+        """The standard deviation (p,) of the genes over the trials, with n - 1; NaN for a single trial."""
         if len(self.genes) < 2:
             return np.full(self.genes.shape[1], np.nan)
         return np.asarray(self.genes.std(axis=0, ddof=1))
 
     def scaled(self, share: float) -> Trials:
-        """Return the trials with every fitness times `share`, for rows that stand for 1/share times as many."""
+        """Return the trials with every fitness multiplied by `share`: for searches on reduced rows, of which each
+        stands for 1/share rows.
+        """
         history = replace(self.history, fitness=self.history.fitness * share)
         return replace(self, fitness=self.fitness * share, history=history)

@@ -1,4 +1,4 @@
-"""Many independent searches of the same data, on all cores."""
+"""Run many independent searches of the same data, on all cores."""
 
 from __future__ import annotations
 
@@ -29,27 +29,31 @@ if TYPE_CHECKING:
     from ga.bounds import Bounds
 
 POINTS_PER_DECADE: Final = 20
-"""Points of the history in each factor of ten of generations."""
+"""The number of points of the history in each factor of ten of generations."""
 
 _CHUNK: Final = 400_000_000
-"""Numbers read in one call of a compiled loop, some 40 ms: how long Ctrl-C waits."""
+"""The amount of work in one call of a compiled loop, in numbers that it reads: about 40 ms, the longest time that
+Ctrl-C waits.
+"""
 
 _CHILD: Final = 200
-"""Numbers that a child is worth when the engine does not look at every sample: what else there is to do for it."""
+"""The work of a child besides its evaluation, in numbers read, for an engine that does not read every sample."""
 
 _TYPICAL: Final = 1000
-"""Generations after which the stop rule has ended nearly every search of the `default` preset."""
+"""The number of generations after which the stop rule has ended nearly every search of the `default` preset."""
 
 _SHORT: Final = 3_000_000
-"""Generations by which the duration of many more is judged."""
+"""The number of generations of a short search from which the duration of a long search is predicted."""
 
 _POLL: Final = 0.1
-"""s between two reports of progress."""
+"""The time between two reports of progress, s."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """The state that all trials share. grid: generations of the history. engines: those that no thread uses now."""
+    """The state that all trials of a run share. grid: generations of the history. engines: the engines that no thread
+    uses at present.
+    """
 
     engines: SimpleQueue[Engine]
     bounds: Bounds
@@ -60,7 +64,7 @@ class _Run:
 
 @dataclass(eq=False)
 class _Trial:
-    """One search under way, with the history it leaves. kept: a copy as of the end of a chunk, whole at any time."""
+    """One search and its history. kept: a copy of both as of the end of a chunk, complete at any time."""
 
     population: Population
     record: NDArray[np.float64]
@@ -86,20 +90,22 @@ def run_trials(
     checkpoint: Path | None = None,
     every: float = 30.0,
 ) -> Trials:
-    """Search `trials` times for the genes of columns (n, p) that fit torque (n,), N m, best.
+    """Run `trials` searches for the genes that fit columns (n, p) to torque (n,), N m, best.
 
-    Each trial has its own generator, seeded from (seed, trial): the result does not depend on `workers`, the number of
-    threads. start: where an informed search begins, where the rows stand for others and cannot determine it (Reduced).
-    `progress` is called in this thread, several times a second, with the part done, 0 to 1.
+    Each trial has its own random generator, seeded from (seed, trial): the result does not depend on `workers`, the
+    number of threads. start: the region in which an informed search begins, for reduced rows, from which the region
+    cannot be computed (see `Reduced`). progress: a function that is called in this thread, several times a second, with
+    the fraction done, 0 to 1.
 
-    Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. Where `stop` is given it is asked as
-    often; once it returns True, or at Ctrl-C, the result so far is returned, marked as interrupted.
+    Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. stop: a function that is called as often;
+    once it returns True the run ends. If `stop` is given, the result so far is returned, also after Ctrl-C, marked as
+    interrupted.
 
-    checkpoint: a file that keeps the state, written `every` so many seconds and at the end, whatever ends the run. If
-    it is there already, the search goes on from it and ends in the same bits as if it had not been cut short.
+    checkpoint: a file in which the state is saved every `every` seconds and at the end, however the run ends. If the
+    file exists already, the search continues from it and gives the same bits as without the interruption.
 
-    Raises ValueError where the data are not finite or empty, or where a number or the bounds do not fit;
-    WrongCheckpoint, a ValueError, where the file is of another run; OSError where it cannot be read or written.
+    Raises ValueError if the data are not finite or empty, or if a number or the bounds do not fit; WrongCheckpoint, a
+    ValueError, if the file is of another run; OSError if the file cannot be read or written.
     """
     if trials < 1 or workers < 1:
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")
@@ -142,9 +148,9 @@ def duration(
     trials: int,
     workers: int,
 ) -> float:
-    """Return how long `trials` searches of a child a generation will take, s, judged by a short one for each worker.
+    """Return the predicted duration of `trials` steady-state searches, s, from a short search by each worker.
 
-    It overestimates: the first generations are the slowest.
+    The prediction is too long: the first generations are the slowest.
     """
     short, at_once = replace(settings, generations=_SHORT), min(workers, trials)
     took = np.inf
@@ -160,21 +166,21 @@ def duration(
 def _start(
     columns: NDArray[np.float64], torque: NDArray[np.float64], bounds: Bounds, settings: Settings, start: Start | None
 ) -> Start | None:
-    """Return where the search begins, None for a uniform population."""
+    """Return the region in which the search begins; None for a uniform first population."""
     if settings.start == "uniform":
         return None
     return start_of(columns, torque, bounds) if start is None else within(start, bounds)
 
 
 def _expected(settings: Settings, p: int) -> int:
-    """The number of evaluations that a search will come to, roughly."""
+    """Return the approximate number of evaluations of a search with p genes."""
     if settings.scheme == "steady-state":
         return settings.generations
     return 5 * p * min(settings.generations, settings.generations if settings.tolerance is None else _TYPICAL)
 
 
 def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: int) -> list[_Trial]:
-    """The trials at their first generation."""
+    """Return the trials with their first populations."""
     running = []
     for i in range(trials):
         population = begin(engine, run.bounds, run.settings, seed, i, start=start)
@@ -200,7 +206,7 @@ def _grid(generations: int) -> NDArray[np.int64]:
 
 
 def _all(run: _Run, engine: Engine, running: list[_Trial], workers: int, watch: _Watch) -> None:
-    """Run all trials until they end or must stop, in threads, or in this thread if there is one worker."""
+    """Run all trials until they end or must stop, in threads, or in this thread if there is only one worker."""
     if workers == 1:  # to start a thread takes longer than a search of the `default` preset
         for trial in running:
             for _ in _chunks(run, engine, trial):
@@ -229,7 +235,9 @@ def _search(run: _Run, trial: _Trial) -> None:
 
 
 def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
-    """Run the trial to its end. Yield some times a second, each time with a whole copy of its state kept."""
+    """Run the trial to its end. Yield some times a second, each time after a complete copy of its state was stored in
+    the trial.
+    """
     population = trial.population
     record = Record(np.append(run.grid, -1), trial.record)
     children = 1 if run.settings.scheme == "steady-state" else 5 * run.bounds.low.size
@@ -245,7 +253,9 @@ def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
 
 @dataclass
 class _Watch:
-    """Progress, stop request and checkpoint of running trials. asked, kept: s, when it last looked and last saved."""
+    """Progress, stop request and checkpoint of running trials. asked, kept: times, s, of the last check and of the last
+    save.
+    """
 
     settings: Settings
     progress: Callable[[float], None] | None
@@ -293,7 +303,11 @@ def _outcome(
     seconds: float,
     again: Callable[[int], Population],
 ) -> Trials:
-    """The outcome. again: returns the first population of a trial, which its search has overwritten."""
+    """Return the outcome of the trials.
+
+    before: the number of evaluations before this run. seconds: its processor time. again: a function that returns the
+    first population of a trial, which the search has overwritten.
+    """
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 FEWEST: Final = 16
 SHORTEST: Final = 25
-"""The smallest number of blocks, and the smallest number of samples in a block."""
+"""FEWEST: the smallest number of blocks. SHORTEST: the smallest number of samples in a block."""
 
 _CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _GROSS: Final = 10.0  # the same where the size of an effect is estimated

@@ -315,8 +315,10 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
 
 
 def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
-    """Return the standard deviation of the noise of a torque (n,), N m, at least the error that the torque has from its
-    sampling rate.
+    """Return the standard deviation of the noise of a torque (n,), N m, or the smallest noise that matters if that is
+    larger.
+
+    cell: the torque cell's own readings, if there are fewer of them than samples.
     """
     if cell is None:
         own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
