@@ -23,7 +23,7 @@ from drivers.clock import Clock
 
 
 class Quantity(StrEnum):
-    """The quantity that a set-point commands."""
+    """The quantity that a set-point commands: torque or position."""
 
     TORQUE = "torque"
     POSITION = "position"
@@ -62,7 +62,7 @@ def reason_of(error: object) -> str:
 
 
 def link_lost(name: str, reason: object) -> LinkLost:
-    """Return the error for the link `name` that is gone for `reason`."""
+    """Return the error LinkLost for the link `name`. reason: why the link is gone."""
     why = reason_of(reason)
     return LinkLost(f"{name} is gone ({why}): whether the motor is live is not known; cut the power before touching it")
 
@@ -76,9 +76,8 @@ class BadReply(DriverError, ValueError):
 
 
 class DeviceFault(DriverError, RuntimeError):
-    """The drive latched a fault.
-
-    `code` is the drive's own number, `message` its meaning with the remedy.
+    """The drive has latched a fault. `code` is the drive's own number, `message` the meaning of the fault with the
+    remedy.
     """
 
     def __init__(self, code: int, message: str) -> None:
@@ -165,7 +164,7 @@ class Sample:
 
     @classmethod
     def missing(cls, t: float, status: Status = Status.NO_REPLY) -> Self:
-        """Return a row without values for a reply that was lost at `t` s."""
+        """Return a sample without values, for the reply that is missing to the request sent at `t`, s."""
         return cls(t=t, t_read=math.nan, status=status)
 
 
@@ -202,7 +201,7 @@ class Servo(Protocol):
 
     @property
     def info(self) -> ServoInfo:
-        """The identity of the servo."""
+        """The identity of the servo and the resolution of its readings."""
 
     @property
     def clock(self) -> Clock:
@@ -222,10 +221,12 @@ class Servo(Protocol):
         """
 
     def disarm(self) -> None:
-        """Switch the torque off. Harmless when already off. Raises DriverError if the device does not confirm it."""
+        """Switch the torque off. Has no effect if it is off already. Raises DriverError if the device does not confirm
+        it.
+        """
 
     def close(self) -> None:
-        """Switch the torque off, then close the link. Harmless when already closed; never raises."""
+        """Switch the torque off, then close the link. Has no effect if the link is closed already. Never raises."""
 
 
 class JointSensor(Protocol):
@@ -239,4 +240,4 @@ class JointSensor(Protocol):
         """
 
     def close(self) -> None:
-        """Close the link. Harmless when already closed."""
+        """Close the link. Has no effect if the link is closed already."""

@@ -1,4 +1,4 @@
-"""Settings of a device that are changed for a run: written, read back, and restored afterwards."""
+"""Change settings of a device for a run: write a setting, read it back, and restore its earlier value at the end."""
 
 from __future__ import annotations
 

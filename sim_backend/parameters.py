@@ -32,7 +32,7 @@ class MotorParameters:
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     gear_ratio: Positive | None = None
-    """eta, turns of the motor for one of the joint; None: as in [stand]."""
+    """eta, turns of the motor for one turn of the joint; None: as in [stand]."""
     inertia: Annotated[Positive, Unit("kg*m^2")] | None = None
     """Dm, kg m^2 at the motor shaft; None: as in [stand]."""
     viscous_friction: Annotated[NotNegative, Unit("N*m*s/rad")] | None = None
@@ -60,9 +60,9 @@ class CouplingParameters:
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
     stiffness: Annotated[Positive, Unit("N*m/rad")] = 17.75e-3
-    """Kc, N m/rad."""
+    """Kc, N m/rad: linear stiffness."""
     damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 0.19e-3
-    """Bc, N m s/rad."""
+    """Bc, N m s/rad: viscous damping."""
     cubic: Annotated[NotNegative, Unit("N*m/rad^3")] = 0.0
     """K3, N m/rad^3: cubic stiffness, by which the cable stiffens with deflection."""
     coulomb_friction: Annotated[NotNegative, Unit("N*m")] = 2e-5
@@ -115,7 +115,7 @@ class FixtureParameters:
 
 @dataclass(frozen=True, slots=True)
 class DriveParameters:
-    """The drive's electronics and firmware, at the motor shaft."""
+    """The electronics and firmware of the simulated drive. All values are at the motor shaft."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 
@@ -134,7 +134,7 @@ class DriveParameters:
     command_delay: Annotated[Delay, Unit("s")] = 1e-4
     """s from the arrival of a set-point to the time at which the firmware may use it."""
     supply_voltage: Annotated[Positive, Unit("V")] = 12.0
-    """V, as the drive reports it."""
+    """V, the supply voltage that the drive reports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +160,9 @@ class SensorParameters:
     current_lsb: Annotated[Positive, Unit("A")] = 1e-3
     """A, one count of current; multiplied by the torque constant it is one count of motor torque."""
     motor_torque_noise: Annotated[NotNegative, Unit("N*m")] = 1e-5
-    """N m at the motor shaft, standard deviation, white."""
+    """N m at the motor shaft, standard deviation of the white noise of the motor torque."""
     torque_cell_noise: Annotated[NotNegative, Unit("N*m")] = 2e-4
-    """N m at the joint, standard deviation, white."""
+    """N m at the joint, standard deviation of the white noise of the torque cell."""
     torque_cell_offset: Annotated[float, Unit("N*m")] = 5e-5
     """N m at the joint, error of the torque cell's zero."""
     torque_cell_drift: Annotated[float, Unit("N*m/s")] = 1e-6
@@ -185,7 +185,7 @@ class SensorParameters:
 
 @dataclass(frozen=True, slots=True)
 class LinkParameters:
-    """The bus between the computer and the drive."""
+    """The link between the computer and the simulated drive: durations, lost replies, watchdog."""
 
     __pydantic_config__: ClassVar[dict[str, object]] = _STRICT
 

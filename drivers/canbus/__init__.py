@@ -1,1 +1,1 @@
-"""A CAN bus that several drives share."""
+"""Access to a CAN bus, on which several drives may be connected."""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
 
 WRITE_TIMEOUT = 0.1
-"""s that the interface may take to accept a frame; without a limit a stuck adapter would block for ever."""
+"""s in which the interface must accept a frame; without a limit a stuck adapter would block this program for ever."""
 BUDGET = 2048
 """Most frames that are read at once; a bus that has more frames to read counts as one that never falls silent."""
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
@@ -60,7 +60,7 @@ class BusConfig:
 
     @property
     def name(self) -> str:
-        """Interface and channel, for messages."""
+        """Interface and channel as one text, for messages."""
         return f"{self.interface} {self.channel}"
 
 

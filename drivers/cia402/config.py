@@ -15,12 +15,13 @@ from drivers.gate import check_watchdog
 class Cia402Config:
     """The [cia402] table of stand.toml. Raises ValueError if two keys do not fit each other.
 
-    interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: its node id.
-    own_id: the node id under which we send our heartbeat. torque_constant: N m/A; needed for the epos2, read from the
-    epos4. rated_torque: N m; None: read from the drive. rated_torque_unit: N m of one count of the drive's rated torque
-    (0x6076), where it is not the profile's. resolution: counts a turn; None: read from the drive. sign: 1 where the
-    drive's positive is the stand's, else -1. watchdog: s without our heartbeat after which the drive stops by itself;
-    0: never. reply_timeout: s that a reply may take. reset_faults: clear every latched fault when arming.
+    interface, channel: the bus, as python-can names it. bitrate: bit/s. profile: the kind of drive. id: the drive's
+    node id. own_id: the node id under which we send our heartbeat. torque_constant: N m/A; needed for the epos2, read
+    from the epos4. rated_torque: N m; None: read from the drive. rated_torque_unit: N m of one count of the drive's
+    rated torque (0x6076), if it differs from the profile's. resolution: counts a turn; None: read from the drive. sign:
+    1 if the drive's positive direction is the stand's, else -1. watchdog: s without our heartbeat after which the drive
+    stops by itself; 0: never. reply_timeout: s that a reply may take. reset_faults: whether to clear every latched
+    fault when arming.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

@@ -57,7 +57,7 @@ RPDO1 = struct.Struct("<Hh")
 
 
 class Node:
-    """The drive of `config` on an open link."""
+    """One CiA 402 drive, the one of `config`, on an open bus."""
 
     def __init__(self, config: Cia402Config, link: CanLink, clock: Clock) -> None:
         self._config = config
@@ -303,7 +303,7 @@ class Node:
             raise DriverError(f"the drive reports: {state.value}")
 
     def off_frames(self) -> list[can.Message]:
-        """Return the frames that disable the voltage, by PDO and by SDO."""
+        """Return the frames that switch the torque off (disable voltage), by PDO and by SDO."""
         word = DISABLE_VOLTAGE.to_bytes(2, "little")
         return [self.set_point(DISABLE_VOLTAGE, 0), self.network.write_request(CONTROLWORD, word)]
 

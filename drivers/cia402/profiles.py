@@ -1,4 +1,4 @@
-"""The profiles of CiA 402 drives and the meaning of their error codes, from table.toml."""
+"""The profiles of CiA 402 drives and the texts of their error codes. They are read from table.toml."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HEARTBEAT_LOST = 0x8130
 
 
 class ObjectIndex(NamedTuple):
-    """Index and sub-index of an object in the dictionary."""
+    """Index and sub-index of an object in a drive's object dictionary."""
 
     object: int
     sub: int

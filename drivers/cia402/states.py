@@ -1,4 +1,4 @@
-"""The state machine of CiA 402-2: states from statuswords, and the controlwords that enable a drive."""
+"""The states of a CiA 402 drive: how a statusword encodes them, and which controlwords lead to ENABLED."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""SimpleFOC boards over Commander."""
+"""The driver of motors on SimpleFOC boards, which are commanded with the library's text protocol, Commander."""

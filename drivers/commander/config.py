@@ -15,11 +15,11 @@ class CommanderConfig:
     """The [commander] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
     port: the serial port. torque_constant: N m/A at the motor shaft. watchdog: s of silence after which the board's
-    program disables the motor; 0: it has no such rule, as in the library's examples, and the motor stays live when this
-    computer stops. motor: the letter under which the program added the motor. baudrate: bit/s; a board with a USB
-    socket of its own takes any. torque_mode: the board's current control. sign: 1 where the board's positive is the
-    stand's, else -1. reply_timeout: s that a reply may take beyond its time on the wire. start: s that the board may
-    take to boot and align the motor, since opening the port restarts many.
+    program disables the motor; 0: never, as in the library's examples, so that the motor stays live when this computer
+    stops. motor: the letter under which the program added the motor. baudrate: bit/s; a board with a USB socket of its
+    own accepts any. torque_mode: the board's current control. sign: 1 if the board's positive direction is the stand's,
+    else -1. reply_timeout: s that a reply may take beyond its time on the wire. start: s that the board may take to
+    boot and align the motor, since opening the port restarts many boards.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

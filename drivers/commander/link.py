@@ -104,7 +104,7 @@ class CommanderLink:
         )
 
     def quarantine(self) -> None:
-        """Wait until the line is silent before the next request."""
+        """Make the next request wait until the line is silent."""
         self._quarantined = True
 
     def close(self) -> None:

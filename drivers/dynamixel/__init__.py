@@ -1,1 +1,1 @@
-"""DYNAMIXEL X (protocol 2.0) and MX (protocol 1.0) servos."""
+"""The driver of DYNAMIXEL servos: X series (protocol 2.0) and MX series (protocol 1.0)."""

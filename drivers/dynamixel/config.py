@@ -26,9 +26,9 @@ Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
 class DynamixelConfig:
     """The [dynamixel] table of stand.toml. Raises ValueError if model and mode do not fit each other.
 
-    port: the serial port. model: a name in dynamixel/table.toml. mode: the operating mode; None: current where the
-    model measures it. torque_constant: N m/A at the horn; None: an estimate from the model's stall points. sign: 1
-    where the servo's positive is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a
+    port: the serial port. model: a name in dynamixel/table.toml. mode: the operating mode; None: current if the model
+    measures current. torque_constant: N m/A at the horn; None: an estimate from the model's stall points. sign: 1 if
+    the servo's positive direction is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a
     request after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take
     beyond its time on the wire.
     """

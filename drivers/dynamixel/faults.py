@@ -49,7 +49,7 @@ def watchdog(period: float) -> DeviceFault:
 
 
 def reboot() -> DeviceFault:
-    """Return the error for an armed servo whose torque is off."""
+    """Return the error for an armed servo that reports its torque as off: it was restarted."""
     return DeviceFault(
         RESTARTED, "the servo's torque went off by itself: it was restarted; check its supply and its plug"
     )

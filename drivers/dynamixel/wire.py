@@ -43,7 +43,7 @@ class Wire2:
         self._packets = Protocol2PacketHandler()
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """Return the bytes of a request."""
+        """Return the bytes of a request to the servo `ident`."""
         body = (bytes([instruction]) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
         frame = self._header + bytes([ident]) + (len(body) + 2).to_bytes(2, "little") + body
         return frame + self._checksum(frame)

@@ -1,1 +1,1 @@
-"""Feetech STS, HLS and SCS servos on a serial port."""
+"""The driver of Feetech STS, HLS and SCS servos on a serial port."""

@@ -32,7 +32,7 @@ def reported(bits: int) -> DeviceFault:
 
 
 def restarted() -> DeviceFault:
-    """Return the error for an armed servo whose torque is off."""
+    """Return the error for an armed servo that reports its torque as off: it was restarted."""
     return DeviceFault(
         RESTARTED, "the servo's torque went off by itself: it was restarted; check its supply and its plug"
     )

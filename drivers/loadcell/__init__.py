@@ -1,1 +1,1 @@
-"""Torque cells that print their readings on a serial port."""
+"""The driver of torque cells whose board prints the readings on a serial port."""

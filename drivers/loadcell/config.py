@@ -12,13 +12,14 @@ LineFormat = Literal["micros,raw", "value"]
 
 @dataclass(frozen=True, slots=True)
 class LoadCellConfig:
-    """[joint_sensor] with kind = "loadcell".
+    """The [joint_sensor] table of stand.toml with kind = "loadcell".
 
     port: the serial port. scale: N m for one count (format "micros,raw") or for a value of 1 (format "value").
     baudrate: bit/s. format: the content of a line; "micros,raw": the board's microseconds and the counts of a 24 bit
-    converter, "value": one number. sign: 1 where the cell's positive is the joint's, else -1. tare: the value
-    without torque, in counts or as printed; None: the median while the cell is opened. drift: N m that the zero may
-    differ from `tare`, or change while it is opened. delay: s from a measurement to the start of its line.
+    converter, "value": one number. sign: 1 if the cell's positive direction is the joint's, else -1. tare: the value
+    without torque, in counts or as printed; None: the median of the readings while the cell is opened. drift: N m by
+    which the zero may differ from `tare`, or change while the cell is opened. delay: s from a measurement to the start
+    of its line.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

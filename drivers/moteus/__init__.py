@@ -1,1 +1,1 @@
-"""moteus controllers on CAN FD."""
+"""The driver of moteus controllers on CAN FD."""

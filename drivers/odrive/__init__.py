@@ -1,1 +1,1 @@
-"""ODrive axes on CAN (CANSimple)."""
+"""The driver of ODrive axes on CAN, with the protocol CANSimple."""

@@ -1,4 +1,6 @@
-"""One ODrive axis on the bus: its identification, its heartbeats and its slowly changing values."""
+"""One ODrive axis on the bus: its firmware version, its heartbeats, and its temperature and voltage, which change
+slowly.
+"""
 
 from __future__ import annotations
 

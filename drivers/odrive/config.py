@@ -16,10 +16,10 @@ class OdriveConfig:
     """The [odrive] table of stand.toml. Raises ValueError if watchdog and reply_timeout do not fit each other.
 
     interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. id: the axis'
-    node id. torque_constant: N m/A, 8.27 divided by the motor's KV (rev/min/V). sign: 1 where the axis' positive is the
-    stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with it watchdog and
-    limits are written and read back. watchdog: s without a set-point after which the axis stops by itself; needs
-    `endpoints`; 0: the drive's own setting. reply_timeout: s that the replies of a tick may take.
+    node id. torque_constant: N m/A, 8.27 divided by the motor's KV (rev/min/V). sign: 1 if the axis' positive direction
+    is the stand's, else -1. endpoints: the flat_endpoints.json of the firmware in the drive (0.6 only); with this file
+    watchdog and limits are written and read back. watchdog: s without a set-point after which the axis stops by itself;
+    needs `endpoints`; 0: the drive's own setting. reply_timeout: s that the replies of a tick may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}

@@ -70,7 +70,7 @@ class Codec:
         self._names = {message.number: name for name, message in self._messages.items()}
 
     def has(self, name: str) -> bool:
-        """Return whether this firmware has the message."""
+        """Return whether this firmware has the message `name`."""
         return name in self._messages
 
     def request(self, name: str) -> Any:

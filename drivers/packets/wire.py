@@ -75,7 +75,7 @@ class Wire1:
         self._refusals = refusals
 
     def frame(self, ident: int, instruction: int, parameters: bytes) -> bytes:
-        """Return the bytes of a request."""
+        """Return the bytes of a request to the servo `ident`."""
         body = bytes([ident, len(parameters) + 2, instruction]) + parameters
         return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 

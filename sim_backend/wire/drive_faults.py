@@ -21,7 +21,7 @@ class DriveFaults:
         self._stuck = math.nan
 
     def angle(self, angle: float, t: float) -> float:
-        """Return the angle that the encoder shows at `t` s, rad."""
+        """Return the angle that the encoder shows at `t` s when the motor's true angle is `angle`, rad."""
         if self._none:
             return angle
         number = _beat(t)
@@ -36,13 +36,15 @@ class DriveFaults:
         return angle
 
     def speed(self, speed: float, t: float) -> float:
-        """Return the speed that the drive computes at `t` s, rad/s: 0 if the encoder is stuck."""
+        """Return the speed that the drive computes at `t` s when the true speed is `speed`, rad/s: 0 if the encoder is
+        stuck.
+        """
         if self._none or not self._plan.acting(("stuck-encoder",), t, _beat(t)):
             return speed
         return 0.0
 
     def temperature(self, temperature: float, t: float) -> float:
-        """Return the temperature that the drive measures at `t` s, degC."""
+        """Return the temperature that the drive measures at `t` s when the true temperature is `temperature`, degC."""
         if self._none:
             return temperature
         hot = self._plan.acting(("over-temperature",), t, _beat(t))

@@ -28,7 +28,7 @@ class Watched(Protocol):
 
     @property
     def motor(self) -> PlantMotor[Any]:
-        """The motor."""
+        """The motor whose torque is logged."""
 
     @property
     def watchdog_state(self) -> WatchdogState:

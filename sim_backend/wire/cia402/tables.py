@@ -1,4 +1,4 @@
-"""The object dictionaries of the emulated drives, from table.toml, which names its sources."""
+"""The object dictionaries of the emulated CiA 402 drives. They are read from table.toml, which names its sources."""
 
 from __future__ import annotations
 

@@ -43,7 +43,9 @@ _VOLTAGE = 0
 
 
 def number(text: str) -> float:
-    """Return the number at the beginning of `text` as `atof` does, 0 if there is none; a 32 bit float."""
+    """Return the number at the beginning of `text`, as C's `atof` reads it, rounded to a 32 bit float; 0 if there is
+    none.
+    """
     found = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     with np.errstate(over="ignore"):
         return float(np.float32(found[0])) if found else 0.0

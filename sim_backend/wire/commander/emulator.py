@@ -90,7 +90,9 @@ class CommanderBoard:
         self._garbled.append((sent, received))
 
     def mean(self, begin: float, end: float) -> float:
-        """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
+        """Return the mean torque at the joint from `begin` to `end`, s, in N m, which a torque cell at the joint
+        measures.
+        """
         self.advance(end)
         return self.device.joint.mean(begin - self.made, end - self.made)
 

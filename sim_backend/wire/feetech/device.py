@@ -103,7 +103,9 @@ class FeetechDevice:
         return bytes(self._flash)
 
     def mean(self, begin: float, end: float) -> float:
-        """Return the mean torque at the joint from `begin` to `end`, N m, as a torque cell there measures it."""
+        """Return the mean torque at the joint from `begin` to `end`, s, in N m, which a torque cell at the joint
+        measures.
+        """
         self.advance(end)
         return self.joint.mean(begin - self._powered, end - self._powered)
 

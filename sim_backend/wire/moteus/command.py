@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 TURN = 2.0 * math.pi
 TORQUE_CONSTANT = 0.05
-"""N m/A."""
+"""N m/A of the emulated motor."""
 RESISTANCE = 0.1
-"""Ohm."""
+"""Ohm, resistance of the emulated motor's winding."""
 VOLTAGE_DQ, CURRENT, POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN, BRAKE = 8, 9, 10, 11, 12, 13, 15
 RUNNING = frozenset({VOLTAGE_DQ, CURRENT, POSITION, ZERO_VELOCITY, STAY_WITHIN, BRAKE})
 """The modes in which current flows."""

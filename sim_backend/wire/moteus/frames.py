@@ -137,7 +137,7 @@ def refusal(writing: bool, number: int, code: int = 1) -> bytes:
 
 
 def console(channel: int, text: bytes) -> bytes:
-    """Return the subframe with the console's text."""
+    """Return the subframe that sends the console's text on `channel`."""
     return bytes([0x41]) + varuint(channel) + varuint(len(text)) + text
 
 

@@ -33,7 +33,7 @@ class Field(NamedTuple):
 
 
 def schema(fields: Sequence[Field]) -> bytes:
-    """Return the schema of an object with `fields`."""
+    """Return the binary schema that describes an object with `fields`."""
     out = bytes([_OBJECT, 0])
     for field in fields:
         kind = _KINDS[field.kind]

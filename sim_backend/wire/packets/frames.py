@@ -21,7 +21,7 @@ SILENCE = 0.1
 
 
 class Instruction(IntEnum):
-    """The instructions of the manual's table."""
+    """The instructions of protocol 2.0, with the numbers of the manual's table."""
 
     PING = 0x01
     READ = 0x02
