@@ -1,1 +1,1 @@
-"""The import and export of tables, with their units."""
+"""Import and export of tables with units, and export of the identified coupling."""

@@ -1,4 +1,6 @@
-"""Columns of ROS 2 bags: a rosbag2 folder, an MCAP or a .db3 file; one topic of it, by the library rosbags."""
+"""Read columns from a ROS 2 bag: one topic of a rosbag2 folder, of an MCAP or of a .db3 file, by the library
+rosbags.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,9 @@ Array = NDArray[np.float64]
 SUFFIXES = frozenset({".mcap", ".db3"})
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SAMPLE = "hil_msgs/msg/Sample"
-"""The messages that `hil export` writes: a field a channel."""
+"""The type of the messages that `hil export` writes: each channel is a field."""
 UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad/s", "effort": "N*m"})
-"""The units of a rotary joint in a JointState, as its definition states them."""
+"""The units of the fields of a JointState for a rotary joint, as ROS defines them."""
 
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
 _DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
@@ -40,17 +42,17 @@ _NO_TABLES = (
 
 
 def is_bag(source: Path) -> bool:
-    """Return whether a path is one of a ROS 2 bag: its folder, or one of its files."""
+    """Return whether a path is a ROS 2 bag: the folder of a bag, or one of its files."""
     with suppress(OSError):  # a name that is too long
         return source.suffix.lower() in SUFFIXES or (source / _DESCRIPTION).is_file()
     return False
 
 
 def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Array]:
-    """Return the numbers in the messages of a topic by heading, (n,) each, with "time [s]" from the first message.
+    """Return the numbers in the messages of a topic, (n,) each, by heading; "time [s]" starts at the first message.
 
-    topic: None where the bag has one topic of joint states only, or is of `hil export`. joint: None where the joint
-    states have one joint. Raises WrongUse, which lists the topics or the joints of the bag.
+    topic: None if the bag has only one topic of joint states, or is an export of hil. joint: None if the joint states
+    have one joint. Raises WrongUse, with the list of topics or joints in the bag.
     """
     rosbags = _rosbags(source)
     for path in _files(source):
@@ -70,7 +72,7 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
 
 
 class _Library:
-    """What is used of rosbags."""
+    """The parts of the library rosbags that this module uses."""
 
     def __init__(self) -> None:
         from rosbags.highlevel import AnyReader
@@ -99,12 +101,16 @@ def _files(source: Path) -> list[Path]:
 
 
 def _may_be_read(path: Path) -> bool:
-    """Return whether the library may read something in a bag's folder: the description there says what, of any name."""
+    """Return whether rosbags may read this file of a bag's folder: the folder's metadata.yaml may name a file of any
+    suffix.
+    """
     return path.suffix in SUFFIXES or not path.is_file() or path.stat().st_size > 0
 
 
 def _check_tables(path: Path) -> None:
-    """Raise WrongUse for a database that holds more than tables: reading a view may never end, nor heed Ctrl-C."""
+    """Raise WrongUse for a database that contains more than tables: reading a view may never end, and Ctrl-C does not
+    stop it.
+    """
     try:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as database:
             found = database.execute(_NO_TABLES).fetchone()
@@ -135,7 +141,7 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
 
 
 def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
-    """Return the topic to read. Raises WrongUse with those that there are."""
+    """Return the topic to read. Raises WrongUse, with the list of topics, if the topic is missing or not clear."""
     has = f"it has {listed([f'{name} ({kind})' for name, kind in sorted(kinds.items())])}" if kinds else "it has none"
     if topic is not None:
         for name in (topic, f"/{topic}"):
@@ -150,7 +156,9 @@ def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
 
 
 def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
-    """Yield the messages of a topic, each with its time in ns: its own stamp, or when it was received without one."""
+    """Yield the messages of a topic, each with its time in ns: the stamp in the message; without a stamp, the time of
+    reception.
+    """
     chosen = [connection for connection in reader.connections if connection.topic == topic]
     for connection, received, raw in reader.messages(connections=chosen):
         message = reader.deserialize(raw, connection.msgtype)
@@ -160,7 +168,9 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
 
 
 def _of_joint(source: Path, topic: str, messages: Iterator[tuple[int, Any]], joint: str | None) -> dict[str, Array]:
-    """Return the columns of one joint. Raises WrongUse with the joints that there are."""
+    """Return the columns of one joint. Raises WrongUse, with the list of joints, if the joint is missing or not
+    clear.
+    """
     kept: dict[str, array[float]] = {name: array("d") for name in UNITS}
     joints: dict[str, None] = {}
     stamps = array("q")
@@ -184,7 +194,9 @@ def _of_joint(source: Path, topic: str, messages: Iterator[tuple[int, Any]], joi
 
 
 def _of_any(source: Path, topic: str, messages: Iterator[tuple[int, Any]]) -> dict[str, Array]:
-    """Return every number of the messages by its path in the message, as the first message has them."""
+    """Return all numbers in the messages, as columns by their path in a message. The first message determines the
+    paths.
+    """
     stamps = array("q")
     kept: dict[str, array[float]] = {}
     for stamp, message in messages:
@@ -200,7 +212,7 @@ def _of_any(source: Path, topic: str, messages: Iterator[tuple[int, Any]]) -> di
 
 
 def _numbers(path: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a message, or of a part of it, each with its path: "wrench.torque.z", "data[0]"."""
+    """Yield the numbers of a message or of a part of a message, each with its path: "wrench.torque.z", "data[0]"."""
     if isinstance(value, bool | int | float | np.number):
         yield path, float(value)
     elif isinstance(value, np.ndarray | list) and 0 < len(value) <= _MOST_NUMBERS:
@@ -213,6 +225,6 @@ def _numbers(path: str, value: Any) -> Iterator[tuple[str, float]]:
 
 
 def _seconds(stamps: Sequence[int]) -> Array:
-    """Return the times since the first, s, from ns that a double could not hold."""
+    """Return times in s since the first time. stamps: ns, integers, because a double cannot hold them exactly."""
     times = np.array(stamps, dtype=np.int64)
     return np.asarray((times - times[0]) * 1e-9, dtype=np.float64)

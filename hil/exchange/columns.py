@@ -1,4 +1,4 @@
-"""Named columns of a table file: CSV, Parquet or MATLAB."""
+"""Read named columns from the table in a file: CSV, Parquet, MATLAB or a ROS 2 bag."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of any format: its headings, and a function that reads columns by their indices.
+    """A table of any format.
 
-    joins_topics: whether its rows have empty cells where only another topic was read.
+    titles: headings. reader: function that reads columns by their indices. joins_topics: whether the table joins
+    several topics, so that a row has empty cells for the topics that were not received at its time.
     """
 
     source: Path
@@ -36,7 +37,7 @@ class Table:
     joins_topics: bool = False
 
     def has(self, name: str) -> bool:
-        """Return whether a column has the name, with or without its unit."""
+        """Return whether a column has this name, with or without a unit."""
         return any(name == title or name in headings.names(title) for title in self.titles)
 
     def place(self, name: str) -> int:
@@ -44,10 +45,10 @@ class Table:
         return place(self.source, self.titles, name)
 
     def read(self, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
-        """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and their row numbers, (n,).
+        """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and the row numbers, (n,).
 
-        wanted: names as `place` finds them. Raises WrongUse for an error in the file, with its row, and where no row is
-        left.
+        wanted: names as `place` accepts them. where: the filters. Raises WrongUse if no row passes, and for an error in
+        the file, with its row.
         """
         table, rows = self.reader(
             [self.place(name) for name in wanted], [(self.place(one.column), one) for one in where]
@@ -59,9 +60,9 @@ class Table:
 
 
 def open_table(source: Path, *, topic: str | None = None, joint: str | None = None) -> Table:
-    """Return the table in a file: CSV, Parquet, MATLAB, or a topic of a ROS 2 bag; also a CSV of PlotJuggler.
+    """Return the table in a file: CSV, Parquet, MATLAB, a topic of a ROS 2 bag, or a CSV that PlotJuggler exported.
 
-    topic, joint: of a bag as in `bags.columns`; of a table of PlotJuggler, whose columns they select. Raises WrongUse.
+    topic, joint: select the columns of a ROS 2 bag (see `bags.columns`) or of a table of PlotJuggler. Raises WrongUse.
     """
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
@@ -114,7 +115,7 @@ def _numbers(source: Path, name: str, values: Any) -> Array:
 
 
 class _Columns(NamedTuple):
-    """The columns of a binary file: their names, and how one is read."""
+    """The columns of a binary file: their names, and a function that reads one column."""
 
     names: list[str]
     column: Callable[[str], Any]
@@ -126,7 +127,9 @@ def _columns(source: Path) -> _Columns:
 
 
 def parquet(path: Path) -> ModuleType:
-    """Return pyarrow's Parquet module, needed for `path`. Raises WrongUse if it is not installed."""
+    """Return the module of pyarrow that reads and writes Parquet. path: the file, for messages. Raises WrongUse if
+    pyarrow is not installed.
+    """
     try:
         import pyarrow.parquet
     except ImportError:

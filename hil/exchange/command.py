@@ -1,7 +1,7 @@
-"""The column of a table with the set-points: of torque, position, current or voltage.
+"""The column with the set-points in an imported table: of torque, position, current or voltage.
 
-Only the shape of a command matters for Kc and Bc, for which it serves as an instrument. A measured channel cannot
-serve: an instrument must be free of its errors.
+The command is the instrument of the identification of Kc and Bc; only its shape matters, not its scale. A measured
+channel cannot be an instrument, because an instrument must not contain the errors of the readings.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ Array = NDArray[np.float64]
 MODES: Mapping[str, str] = MappingProxyType(
     {"torque": "torque", "angle": "position", "current": "current", "voltage": "voltage"}
 )
-"""The dimensions of a set-point, and the mode of the profile that each stands for."""
+"""The possible dimensions of a set-point, and the mode of the recording's profile for each."""
 
 _KINDS: Final = "a torque, an angle, a current or a voltage"
 _SAME: Final = 1e-12  # of the power, up to which two columns are one
 
 
 def dimension_of_command(title: str, unit: str | None) -> str:
-    """Return the dimension of a command by its unit: the one given, else the heading's. Raises WrongUse without one."""
+    """Return the dimension of a command from its unit: `unit` if given, otherwise the unit in the heading `title`.
+    Raises WrongUse if there is no unit.
+    """
     if unit is not None:
         found = next((one for one in MODES if units.known(one, unit) is not None), None)
         if found is None:
@@ -46,14 +48,14 @@ def dimension_of_command(title: str, unit: str | None) -> str:
 
 
 def held(command: Array) -> Array:
-    """Return set-points (n,) with each held until the next: an empty cell gets the value of the row before."""
+    """Return set-points (n,) in which every empty cell (NaN) has the value of the row before."""
     good = np.isfinite(command)
     last = np.maximum.accumulate(np.where(good, np.arange(len(command)), -1))
     return np.where(last >= 0, command[last], np.nan)
 
 
 def check_command(source: Path, name: str, channels: Mapping[str, Array]) -> None:
-    """Raise WrongUse for a command that never changes, or that is the reading of another channel."""
+    """Raise WrongUse for a command that never changes, or that equals the measured torque or deflection."""
     command = channels["command"]
     good = np.isfinite(command)
     if np.ptp(command[good]) == 0.0:

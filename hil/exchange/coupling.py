@@ -1,4 +1,4 @@
-"""The identified coupling for other programs: its stiffness, damping and friction, from a result of identify."""
+"""The identified coupling for other programs: stiffness, damping and friction, from a result of `hil identify`."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ _REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "l
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """Stiffness N m/rad, damping N m s/rad and their 95 % intervals; friction N m, 0 without it; all at the joint.
+    """The identified coupling of a joint: stiffness, N m/rad, and damping, N m s/rad, with 95 % intervals; friction, N
+    m (0 if the model has none). All values are at the joint.
 
-    model: the terms that were identified, joined with +. parameters: every parameter's value and unit, SI. source: the
+    model: the identified terms, joined with +. parameters: value and unit of every parameter, SI. source: the
     recordings.
     """
 
@@ -36,7 +37,9 @@ class Coupling:
     source: tuple[str, ...]
 
     def left_out(self) -> list[Diagnostic]:
-        """Return the warning that a simulator's joint has no place for terms beside stiffness, damping and friction."""
+        """Return the warning about terms that a simulator's joint does not support: all except stiffness, damping and
+        friction.
+        """
         terms = [term for term in self.model.split("+") if term not in _REPRESENTED]
         if not terms:
             return []
@@ -48,7 +51,7 @@ class Coupling:
 
 
 def of_result(path: Path) -> Coupling:
-    """Return the coupling in a file of `hil identify --json`. Raises WrongUse, Untrustworthy as `of_json`."""
+    """Return the coupling in a file that `hil identify --json` wrote. Raises WrongUse, Untrustworthy as `of_json`."""
     text = read_text(path, largest=_LARGEST)
     try:
         table = json.loads(text)
@@ -64,9 +67,10 @@ def of_result(path: Path) -> Coupling:
 
 
 def of_json(table: Mapping[str, Any], name: str) -> Coupling:
-    """Return the coupling in the JSON object of an identification.
+    """Return the coupling in the JSON object of `hil identify --json`.
 
-    name: for messages. Raises Untrustworthy if Kc or Bc must not be trusted, WrongUse if the object lacks one.
+    name: of the file, for messages. Raises Untrustworthy if Kc or Bc must not be trusted, WrongUse if either is
+    missing.
     """
     try:
         return _of_json(table, name)
@@ -87,7 +91,7 @@ def _of_json(table: Mapping[str, Any], name: str) -> Coupling:
 
 
 def _with_interval(parameter: Mapping[str, Any]) -> tuple[float, tuple[float, float]]:
-    """Return a parameter's value and interval. Raises ValueError if one is no number."""
+    """Return value and interval of a parameter in a JSON object. Raises ValueError if any of these is not a number."""
     low, high = (float(end) for end in parameter["ci95"])
     value = float(parameter["value"])
     if not all(map(math.isfinite, (value, low, high))):

@@ -1,4 +1,6 @@
-"""CSV files of other programs: any separator, byte-order marks, decimal commas; every error with its row."""
+"""Read CSV files of other programs: with any separator, byte-order marks and decimal commas; every error names its
+row.
+"""
 
 from __future__ import annotations
 
@@ -42,15 +44,17 @@ _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
 
 def titles(source: Path) -> list[str]:
-    """Return the headings of the first line, in order. Raises WrongUse for a file that is no text."""
+    """Return the headings of the table, in order. Raises WrongUse for a file that is no text."""
     with _text(source) as text:
         return _header(source, text).names
 
 
 def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
-    """Return the columns `wanted`, by index, of the rows that pass every filter, (columns, n), and their lines (n,).
+    """Return the columns `wanted` (indices) of the rows that pass every filter, (columns, n), and their line numbers
+    (n,).
 
-    The other cells of rows that are left out are not read. An empty cell is NaN. Raises WrongUse with the row at fault.
+    In a row that does not pass, only the filtered cells are read. An empty cell is NaN. Raises WrongUse with the row
+    that is wrong.
     """
     kept = [array("d") for _ in wanted]
     lines = array("q")
@@ -99,7 +103,11 @@ def _unequal(source: Path, line: int, row: list[str], names: list[str], delimite
 
 
 class _Header(NamedTuple):
-    """The headings, the delimiter, the number of their lines, the columns with dates, the first lines below."""
+    """The head of a CSV file.
+
+    names: headings. delimiter: between the cells. height: number of lines above the first row. dates: indices of
+    columns with dates. rest: the lines below the head.
+    """
 
     names: list[str]
     delimiter: str
@@ -109,7 +117,9 @@ class _Header(NamedTuple):
 
 
 def _header(source: Path, text: TextIO) -> _Header:
-    """Read the headings, and a line of units below them, if any. Raises WrongUse for a table without headings."""
+    """Read the headings, and the line of units below them if there is one. Raises WrongUse for a table without
+    headings.
+    """
     top = [line for line in (text.readline(_LONGEST) for _ in range(_PREAMBLE)) if line]
     at, row = _place_of_headings(top)
     line = top[at].rstrip("\r\n") if top else ""
@@ -129,7 +139,7 @@ def _header(source: Path, text: TextIO) -> _Header:
 
 
 def _refuse_bare_numbers(source: Path, top: Sequence[str], names: int) -> None:
-    """Raise WrongUse for a table without headings: numbers begin at once, or below comments or a title only."""
+    """Raise WrongUse for a table without headings: above its numbers there is nothing, or only comments or a title."""
     for line in top:
         delimiter = _delimiter(line)
         cells = _fields(line, delimiter)
@@ -143,11 +153,13 @@ def _refuse_bare_numbers(source: Path, top: Sequence[str], names: int) -> None:
 
 
 def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
-    """Return the index of the line of headings, and the first row below it ([] if none was recognised).
+    """Return the index of the line of headings, and the cells of the first row below it ([] if no headings were
+    recognised).
 
     Loggers write comments and settings above the headings. The headings are the first line without a number that has as
-    many fields as the row of numbers below it; lines that are empty or hold units may stand between. The first line is
-    taken where no line is one, or where it has as many fields itself, and is no comment: then the row is at fault.
+    many fields as the row of numbers below it. Empty lines or a line of units may stand in between. The very first line
+    is used if no line satisfies this, or if the very first line has as many fields too and is no comment; then the row
+    of numbers is reported as wrong.
     """
     for at in range(len(top)):
         delimiter = _delimiter(top[at])
@@ -159,20 +171,24 @@ def _place_of_headings(top: Sequence[str]) -> tuple[int, list[str]]:
 
 
 def _heads(line: str, delimiter: str, row: Sequence[str]) -> bool:
-    """Return whether a line contains several names, no number, and a field for each non-empty cell of a row."""
+    """Return whether a line can be the headings of a row: it has several names, no number, and a name for every
+    non-empty cell.
+    """
     names = _fields(line, delimiter)
     return len(row) > 1 < len(names) and not any(row[len(names) :]) and not any(map(_is_number, names))
 
 
 def _widest(lines: Sequence[str], delimiter: str) -> int:
-    """Return the largest number of fields of the lines: LabVIEW names a column "Comment" for which no row has a
-    cell.
+    """Return the largest number of fields in the lines. LabVIEW writes a heading "Comment" although the rows have no
+    such cell.
     """
     return max((len(_fields(line, delimiter)) for line in lines), default=0)
 
 
 def _next_row(lines: Sequence[str], delimiter: str) -> list[str]:
-    """Return the cells of the next line that is neither empty nor of units; [] if it does not begin with numbers."""
+    """Return the cells of the first of the lines that is neither empty nor a line of units; [] if that line does not
+    begin with a number.
+    """
     for line in lines:
         cells = _fields(line, delimiter)
         if any(map(_is_number, cells)):
@@ -188,9 +204,10 @@ def _example(columns: int, delimiter: str) -> str:
 
 
 def _delimiter(line: str) -> str:
-    """Return the delimiter of a line's fields: a space if there is no other.
+    """Return the delimiter between the fields of a line; a space if there is no other delimiter.
 
-    Between numbers a semicolon or a tab is the delimiter, and commas are then decimal commas, however many there are.
+    A semicolon or tab between numbers is always the delimiter. Then the commas are decimal commas, however many there
+    are.
     """
     for sure in ";\t":
         if sure in line and all(_is_number(cell) for cell in line.split(sure) if cell.strip()):
@@ -208,7 +225,7 @@ def _fields(line: str, delimiter: str) -> list[str]:
 
 
 def _reader(lines: Iterable[str], delimiter: str) -> Reader:
-    """Return a reader of rows; several spaces are one delimiter."""
+    """Return a reader of the rows in the lines; several spaces in sequence are one delimiter."""
     spaced = delimiter == " "
     ended = (line.rstrip() for line in lines) if spaced else lines
     return csv.reader(ended, delimiter=delimiter, skipinitialspace=spaced)
@@ -222,7 +239,7 @@ def _split(source: Path, line: str, delimiter: str) -> list[str]:
 
 
 def _seconds(text: str) -> float | None:
-    """Return a date with a time of day, or a time of day alone, in s; None where the text is neither (ISO 8601)."""
+    """Return a date with a time of day, or a time of day alone (ISO 8601), in s; None if the text is neither."""
     if ":" not in text:
         return None
     for written in (text.strip(), f"1970-01-01 {text.strip()}"):
@@ -243,9 +260,10 @@ def _is_number(text: str) -> bool:
 
 
 def _units(line: str, delimiter: str, columns: int) -> list[str]:
-    """Return the units in the second line of a table, "" for a column without one; [] if it is no line of units.
+    """Return the units in the second line of a table, "" for a column without a unit; [] if the line is no line of
+    units.
 
-    A line with a quotation mark or a number is not one.
+    A line with a quotation mark or a number is no line of units.
     """
     if '"' in line or any(map(_is_number, line.split(delimiter))):
         return []
@@ -281,16 +299,18 @@ def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
 
 
 def _encoding(source: Path) -> str:
-    """Return UTF-8, with or without a byte-order mark, or the UTF-16 that spreadsheets call Unicode text."""
+    """Return the encoding of a file: UTF-8 with or without a byte-order mark, or UTF-16, which spreadsheets call
+    Unicode text.
+    """
     with _bytes(source) as raw:
         return "utf-16" if raw.read(2) in {b"\xff\xfe", b"\xfe\xff"} else "utf-8-sig"
 
 
 class _Cells:
-    """The reader of numbers, which finds out whether the file writes decimals with a point or a comma, never both.
+    """Reads the numbers in cells, and determines whether the file uses decimal points or decimal commas.
 
-    "1,234" may be a thousand in one program and a decimal in another. It is read as a decimal if some other number
-    ("0,5", "12,25") can only be one; a file without such a number is refused.
+    "1,234" may mean 1234 in one program and 1.234 in another. It is read as 1.234 if another number in the file, such
+    as "0,5" or "12,25", can only have a decimal comma. A file without such a number is refused.
     """
 
     def __init__(self, source: Path, names: list[str], dates: frozenset[int]) -> None:
@@ -302,7 +322,7 @@ class _Cells:
         self._sure = False
 
     def number(self, line: int, at: int, cell: str) -> float:
-        """Return the number in a cell; NaN for an empty one, which identification drops and counts."""
+        """Return the number in a cell; NaN for an empty cell. Identification drops rows with NaN and counts them."""
         text = cell.strip()
         if not text:
             return math.nan
@@ -335,7 +355,9 @@ class _Cells:
         return f"{text!r} in row {line}, column {self._names[at]}"
 
     def check_commas(self) -> None:
-        """Raise WrongUse if decimals are written both ways, or every comma may also be a thousands separator."""
+        """Raise WrongUse if the file has decimal points and decimal commas, or if every comma may be a thousands
+        separator.
+        """
         if self._point and self._comma:
             raise WrongUse(
                 f"{self._source} writes decimals both ways, {self._point}, and {self._comma}: write all with a point"

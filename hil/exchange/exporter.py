@@ -1,4 +1,4 @@
-"""The export of a recording: every row and channel, as CSV, Parquet, MATLAB or MCAP."""
+"""Export a recording with every row and channel as CSV, Parquet, MATLAB or MCAP."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ _LATEST = (1 << 31) * 10**9  # ns since 1970 that a time stamp of ROS 2 holds
 
 
 class TableFormat(NamedTuple):
-    """A format of recordings: its suffixes, its writer, and a check that its library is installed."""
+    """A file format for recordings: its suffixes, the function that writes it, and the check that its library is
+    installed.
+    """
 
     suffixes: tuple[str, ...]
     write: Callable[[Recording, Path], None]
@@ -49,9 +51,9 @@ class TableFormat(NamedTuple):
 
 
 def format_of(target: Path, given: str | None) -> str:
-    """Return the name of the format: the one that is given, else that of the output's suffix.
+    """Return the name of the output's format: `given`, or if that is None the format of the suffix.
 
-    Raises WrongUse for an unknown one, and where the suffix says another than the one that is given.
+    Raises WrongUse for an unknown format, and if the suffix contradicts `given`.
     """
     of_name = next((name for name, suffixes in _suffixes().items() if target.name.lower().endswith(suffixes)), None)
     known = ", ".join(f"{name} ({', '.join(suffixes)})" for name, suffixes in _suffixes().items())
@@ -75,10 +77,11 @@ def _suffixes() -> dict[str, tuple[str, ...]]:
 
 
 def export(path: Path, target: Path, *, force: bool = False) -> int:
-    """Write every row and channel of a recording, in SI, and return the number of rows. A NaN is an empty CSV cell.
+    """Write every row and channel of a recording, in SI, and return the number of rows. A NaN becomes an empty cell in
+    CSV.
 
-    No digit is lost: `hil import` without columns reads the same numbers back. force: replace a file of that name.
-    Raises WrongUse, Untrustworthy for a recording that is damaged or was changed.
+    No digit is lost: `hil import` without column options reads the same numbers back. force: replace an existing file.
+    Raises WrongUse, and Untrustworthy for a recording that is damaged or was changed.
     """
     name = format_of(target, None)
     if name not in TABLES:
@@ -93,7 +96,9 @@ def export(path: Path, target: Path, *, force: bool = False) -> int:
 
 
 def export_coupling(coupling: Coupling, target: Path, *, force: bool = False) -> None:
-    """Write a model of the coupling in the format of the output's name. Raises WrongUse."""
+    """Write the coupling as a model; the name of `target` determines the format. force: replace an existing file.
+    Raises WrongUse.
+    """
     form = models.FORMATS[format_of(target, None)]
     with atomic_write(target, force=force) as temporary:
         temporary.write_text(form.text(coupling), encoding="utf-8")
@@ -120,7 +125,7 @@ def _write_parquet(recording: Recording, target: Path) -> None:
 
 
 def _write_mat(recording: Recording, target: Path) -> None:
-    """Write a column vector a channel, and their units as a struct."""
+    """Write each channel as a column vector, and the units of all channels as a struct."""
     from scipy.io import savemat
 
     if len(recording) * 8 >= _LARGEST_MAT:
@@ -139,7 +144,7 @@ def _check_mcap(target: Path) -> None:
 
 
 def _write_mcap(recording: Recording, target: Path) -> None:
-    """Write a message a row: joint states, which every ROS tool shows, and samples with every channel."""
+    """Write two messages for each row: a joint state, which every ROS tool shows, and a sample with all channels."""
     from mcap_ros2.writer import Writer
 
     start = _started(recording)
@@ -158,7 +163,7 @@ def _write_mcap(recording: Recording, target: Path) -> None:
 
 
 def _stamp(start: int, time: float, last: int) -> int:
-    """Return the stamp of a row, ns since 1970; the `last` one where it has no time. Raises WrongUse."""
+    """Return the time stamp of a row, ns since 1970; the stamp `last` if the row has no time. Raises WrongUse."""
     if not math.isfinite(time):
         return last
     stamp = start + round(time * 1e9)
@@ -168,7 +173,7 @@ def _stamp(start: int, time: float, last: int) -> int:
 
 
 def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:
-    """Return the joint state of a row: the deflection as position, the torque as effort."""
+    """Return a row as a joint state: the deflection as position, its rate as velocity, the torque as effort."""
     seconds, nanoseconds = divmod(stamp, 10**9)
     return {
         "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""},
@@ -180,7 +185,7 @@ def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:
 
 
 def _started(recording: Recording) -> int:
-    """Return when the recording was made, ns since 1970; 0 if its header does not say."""
+    """Return the time at which the recording was made, ns since 1970; 0 if the recording does not say."""
     try:
         return int(datetime.fromisoformat(str(recording.attributes.get("created", ""))).timestamp()) * 10**9
     except ValueError:
@@ -195,4 +200,4 @@ TABLES: Mapping[str, TableFormat] = MappingProxyType(
         "mcap": TableFormat((".mcap",), _write_mcap, _check_mcap),
     }
 )
-"""The formats of a recording, by the name that --format takes."""
+"""All file formats for a recording, by the name that --format takes."""

@@ -1,4 +1,4 @@
-"""Headings of a table: the name of the column and the unit in it, "tau [mN m]", "dtheta/rad", "time_ms", "angleDeg"."""
+"""Headings of a table: a column's name with the unit in it: "tau [mN m]", "dtheta/rad", "time_ms", "angleDeg"."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ _NAMED = re.compile(r"^(?:time|timestamp|torque|angle|position|velocity)(?=[a-zA
 
 
 def heading(channel: str) -> str:
-    """Return the heading of a channel's column in an export, such as "torque [N*m]"."""
+    """Return the heading of a channel in an exported table, such as "torque [N*m]"."""
     return f"{channel} [{CHANNELS[channel].unit}]"
 
 
 def listed(titles: Sequence[str]) -> str:
-    """Return names for a message, only the first ones if there are many."""
+    """Return the headings as a list for a message; only the first ones if there are many."""
     more = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN else ""
     return ", ".join(titles[:_SHOWN]) + more
 
 
 def names(title: str) -> list[str]:
-    """Return the names by which a heading is found besides its whole text: those without the unit."""
+    """Return the names by which a column can be found apart from its whole heading: the heading without the unit."""
     ends = [name for name, unit in _at_the_end(title) if name and is_unit(unit)]
     return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
 
 def unit_of(title: str, dimension: str) -> str | None:
-    """Return the unit of a dimension in a heading, None without one.
+    """Return the unit of `dimension` in a heading, None if the heading has no unit.
 
-    Raises WrongUse if the heading states two different units, or one of another dimension in brackets.
+    Raises WrongUse if the heading has two different units, or has in brackets a unit of another dimension.
     """
     bracketed = [unit for _, unit in _in_brackets(title)]
     plain = _BRACKETS.sub("", title).strip()
@@ -58,7 +58,7 @@ def unit_of(title: str, dimension: str) -> str | None:
 
 
 def bracketed_text(title: str) -> str | None:
-    """Return the text in the brackets of a heading, unit or not; None without brackets."""
+    """Return the text in the brackets of a heading, whether or not it is a unit; None without brackets."""
     found = [text for _, text in _in_brackets(title) if text]
     return found[0] if found else None
 
@@ -76,7 +76,7 @@ def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
 
 
 def _at_the_end(title: str) -> Iterator[tuple[str, str]]:
-    """Yield the ways to split a heading into a name and a possible unit, the longest unit first."""
+    """Yield each way to split a heading into a name and, at its end, a possible unit; the longest unit first."""
     yield "", title.strip()
     for match in _SEPARATED.finditer(title):
         yield title[: match.start()].strip(), title[match.end() :].strip()

@@ -1,4 +1,4 @@
-"""The import of a table as a recording: named columns, units, signs, row filters."""
+"""Import a table as a recording: with named columns, units, signs and row filters."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ DIMENSION: Mapping[str, str] = MappingProxyType(
         "motor_position": "angle",
     }
 )
-"""The channels that a column can be named for, and the dimension of each; that of the command is its column's."""
+"""The channels for which a column can be named, and the dimension of each. The dimension of the command depends on its
+column.
+"""
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
@@ -44,9 +46,10 @@ _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The source of a channel: a column's name, its unit, and a further factor.
+    """The column of a table from which a channel is imported.
 
-    unit: None takes the one that the heading names ("tau [mN m]", "tau_mNm", "tau/mNm"). scale: -1 inverts the sign.
+    name: of the column. unit: None: the unit in the heading ("tau [mN m]", "tau_mNm", "tau/mNm"). scale: a further
+    factor on the values; -1 inverts the sign.
     """
 
     name: str
@@ -56,9 +59,10 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """The result of an import. duration: s. units: the unit that was used for each channel.
+    """The result of an import.
 
-    ranges: those of torque and deflection, in words. diagnostics: warnings about their size.
+    samples: number of rows. duration: s. units: the unit that was used for each channel. ranges: ranges of torque and
+    deflection, in words. diagnostics: warnings about the size of torque and deflection.
     """
 
     samples: int
@@ -81,14 +85,13 @@ def import_table(
     command_line: str = "",
     force: bool = False,
 ) -> Imported:
-    """Write the rows of a CSV, .csv.gz, Parquet or .mat file, or of a ROS 2 bag, that pass every filter as a recording.
+    """Write a recording from the rows of a table that pass every filter: CSV, .csv.gz, Parquet, .mat or a ROS 2 bag.
 
-    columns: channel (see DIMENSION) to its column: time, torque or motor_torque, and dtheta or motor_position; motor
-    channels are converted to the joint by the stand's gear; command, with the set-point, may be left out. {}: the file
-    is an export of hil, or a joint state, whose effort is the torque and whose position the deflection. topic, joint:
-    as in `open_table`. force: replace a
-    recording of that name. Raises WrongUse, with the row at fault, for a column whose unit nobody states, and for
-    readings that the stand's limits rule out.
+    columns: for each channel its column (see DIMENSION): time; torque or motor_torque; dtheta or motor_position;
+    command, the set-point, is optional. Motor channels are converted to the joint with the gear of `stand`. {}: the
+    file is an export of hil, or a joint state, whose effort is the torque and whose position is the deflection. where:
+    the filters. topic, joint: as in `open_table`. force: replace an existing recording. Raises WrongUse for a column
+    without a known unit, for readings that the stand's limits make impossible, and for a wrong row.
     """
     table = open_table(source, topic=topic, joint=joint)
     columns = _with_joint_state(table, columns)
@@ -130,9 +133,10 @@ def import_table(
 
 
 def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], list[Diagnostic]]:
-    """Leave out rows that a logger wrote twice, which would count as samples of another moment.
+    """Remove rows that a logger wrote twice; otherwise they would be used as samples at different times.
 
-    With a coarse clock, which gives many rows one stamp, a joint at rest has equal readings in several of them.
+    If a coarse clock gives many rows the same time, rows with equal readings are not removed: a joint at rest has equal
+    readings.
     """
     kept = np.concatenate([[True], (numbers[:, 1:] != numbers[:, :-1]).any(axis=0)])
     twice, stamps = len(rows) - np.count_nonzero(kept), numbers[time, kept]
@@ -148,7 +152,9 @@ def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, ND
 def _all_stated(
     source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], stated: Mapping[str, str | None]
 ) -> dict[str, str]:
-    """Return the units. Raises WrongUse for columns without a stated unit, with the ranges of their values."""
+    """Return the unit of each channel. Raises WrongUse, with the ranges of the values, if the unit of a column is
+    unknown.
+    """
     missing = [
         f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {_give(channel)}"
         for channel, unit in stated.items()
@@ -163,7 +169,7 @@ def _all_stated(
 
 
 def _check_readings(source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column]) -> None:
-    """Raise WrongUse for a named column without a number: its cells are empty, or were filtered out."""
+    """Raise WrongUse if a named column contains no number: its cells are empty, or all its rows were filtered out."""
     for channel, column in columns.items():
         if not np.isfinite(channels[channel]).any():
             raise WrongUse(f"{source}: column {column.name!r} holds no number: name another, or check --where")
@@ -175,7 +181,7 @@ def _raw_range(values: Array) -> str:
 
 
 def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swing, Swing]:
-    """Return the swings of torque and deflection."""
+    """Return the smallest and largest value of torque and deflection, with their units."""
     found = []
     for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
         unit = used.get(joint) or used.get(motor)
@@ -185,7 +191,7 @@ def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swi
 
 
 def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -> list[Diagnostic]:
-    """Return the warnings about the size of torque and deflection. Raises WrongUse if a unit must be wrong."""
+    """Return warnings about implausible sizes of torque and deflection. Raises WrongUse if a unit must be wrong."""
     limits = None if stand is None else stand.limits
     found = implausible(*swings, limits)
     if limits is not None and found and excess(*swings, limits) > GROSS:
@@ -194,7 +200,7 @@ def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -
 
 
 def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[str, Column]:
-    """Return the columns, and those of a joint state for the channels that are not named, where the table holds one."""
+    """Return the columns. If the table is a joint state, its columns are added for the channels without a column."""
     if not {"time [s]", "position [rad]"} <= set(table.titles):
         return columns
     added = {} if "time" in columns else {"time": Column("time")}
@@ -210,7 +216,7 @@ def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[st
 def _with_readings(
     source: Path, names: Sequence[str], numbers: Array, rows: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Leave out rows without a new reading. Raises WrongUse if no row has both torque and deflection."""
+    """Remove rows without a new reading. Raises WrongUse if no row has both torque and deflection."""
     read = np.isfinite(numbers[[at for at, name in enumerate(names) if name not in {"time", "command"}]])
     if not read.all(axis=0).any():
         raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
@@ -218,7 +224,9 @@ def _with_readings(
 
 
 def _own(table: Table) -> dict[str, str]:
-    """Return the headings in a file of `hil export`, by channel; a .mat file has the channels' bare names."""
+    """Return the heading of each channel in a file that `hil export` wrote; a .mat file has the channels' names as
+    headings.
+    """
     for found in ({name: heading(name) for name in CHANNELS}, {name: name for name in CHANNELS}):
         if set(found.values()) <= set(table.titles):
             return {name: title for name, title in found.items() if name != "seq"}  # the rows are numbered anew
@@ -246,16 +254,16 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
 
 
 def _dimensions(titles: Mapping[str, str], columns: Mapping[str, Column]) -> Mapping[str, str]:
-    """Return the dimension of each channel. Raises WrongUse for a command of which nobody states it."""
+    """Return the dimension of each channel. Raises WrongUse if the dimension of the command is unknown."""
     if "command" not in columns:
         return DIMENSION
     return {**DIMENSION, "command": dimension_of_command(titles["command"], columns["command"].unit)}
 
 
 def _unit(channel: str, dimension: str, title: str, column: Column) -> str | None:
-    """Return a column's unit: the one given, else the heading's; None if there is neither.
+    """Return the unit of a column: the given unit, otherwise the unit in the heading; None if both are missing.
 
-    Raises WrongUse if the two differ, and for an unknown unit.
+    Raises WrongUse if the given unit and the heading's unit differ, and for an unknown unit.
     """
     named = unit_of(title, dimension)
     if column.unit is None:
@@ -293,7 +301,7 @@ def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
 
 
 def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
-    """Shift the time to begin at zero, and convert motor channels to the joint."""
+    """Shift the time so that it begins at zero, and convert motor channels to the joint."""
     channels["time"] = channels["time"] - channels["time"][0]
     way = None if stand is None else Transmission.of(stand.stand)
     if way is not None and "motor_torque" in channels:
@@ -307,10 +315,11 @@ def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> 
 
 
 def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
-    """Refuse a rate that has the deflection's shape and another size: their units or signs differ.
+    """Raise WrongUse if the rate's integral has the shape of the deflection but another size: then a unit or sign is
+    wrong.
 
-    The rate's integral is compared with the deflection, both without their linear trend: noise and a coarse clock have
-    little effect on them. Curves of different shape are not compared.
+    Both are compared without their linear trend, so that noise and a coarse clock have little effect. If their shapes
+    differ, nothing is checked.
     """
     good = np.isfinite(dtheta) & np.isfinite(rate)
     time, dtheta, rate = time[good], dtheta[good], rate[good]

@@ -31,9 +31,10 @@ _COMPLEX = 0x0800
 
 
 def vectors(source: Path) -> dict[str, Array]:
-    """Return every real vector of the file by name, (n,) each; those in a struct of one element as "struct.field".
+    """Return all real vectors of a MAT-file by name, (n,) each. A vector in a struct of one element has the name
+    "struct.field".
 
-    Raises WrongUse for a file that is not a MAT-file of level 5, and for a damaged one.
+    Raises WrongUse for a file that is not a MAT-file of level 5, and for a damaged file.
     """
     with open_input(source, largest=_LARGEST) as file:
         data = file.read()
@@ -55,7 +56,7 @@ def vectors(source: Path) -> dict[str, Array]:
 
 
 def _unpacked(content: bytes) -> bytes:
-    """Return the data of a compressed element. Raises ValueError for one that would fill the memory."""
+    """Return the data of a compressed element. Raises ValueError if the data would fill the memory."""
     largest = max(_SMALL, _COMPRESSION * len(content))
     unpacker = zlib.decompressobj()
     data = unpacker.decompress(content, largest)
@@ -68,7 +69,7 @@ def _unpacked(content: bytes) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class _Matrix:
-    """A variable: its class, flags, sizes and name, and the elements that follow."""
+    """A variable in a MAT-file: class, flags, sizes, name, and the elements with its data."""
 
     kind: int
     complex: bool
@@ -86,7 +87,7 @@ class _Matrix:
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield the elements of a part of the file, each its type and content."""
+    """Yield the type and the content of each element in a part of a MAT-file."""
     at = 0
     while at < len(data):
         first, size = struct.unpack_from(f"{order}II", data, at)
@@ -115,7 +116,7 @@ def _collect(found: dict[str, Array], matrix: _Matrix, order: str) -> None:
 
 
 def _vector(found: dict[str, Array], name: str, matrix: _Matrix, order: str) -> None:
-    """Keep a real numeric array with at most one size above one; a table has no column for anything else."""
+    """Add the variable to `found` if it is a real numeric vector; a table has no column for other variables."""
     long = [size for size in matrix.sizes if size != 1]
     if matrix.kind not in _NUMERIC or matrix.complex or len(long) > 1:
         return

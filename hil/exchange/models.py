@@ -1,4 +1,4 @@
-"""Files in which other programs take the coupling: MuJoCo, URDF, SDF, a C header and JSON."""
+"""Write the coupling as a file for other programs: MuJoCo, URDF, SDF, a C header or JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ Attributes = dict[str, str]
 
 
 class ModelFormat(NamedTuple):
-    """A format: the suffix of its files, its writer, and whether it holds every parameter of the model."""
+    """A file format for the coupling: its suffix, the function that writes it, and whether it holds every parameter of
+    the model.
+    """
 
     suffix: str
     text: Callable[[Coupling], str]
@@ -29,9 +31,9 @@ class ModelFormat(NamedTuple):
 
 
 def mujoco(coupling: Coupling) -> str:
-    """Return a MuJoCo model: a motor on the coupling against a locked joint, with sensors of angle, rate and torque.
+    """Return a MuJoCo model: a motor, the coupling, and a locked joint, with sensors of angle, rate and torque.
 
-    The motor's inertia is a placeholder.
+    The motor's inertia in the model is a placeholder.
     """
     root = _root("mujoco", coupling, {"model": "coupling"})
     inertia = _number(_placeholder(coupling))
@@ -56,7 +58,9 @@ def mujoco(coupling: Coupling) -> str:
 
 
 def urdf(coupling: Coupling) -> str:
-    """Return a URDF with the joint's damping and friction; its stiffness is in Gazebo's extension: URDF has none."""
+    """Return a URDF with the joint's damping and friction. The stiffness is in Gazebo's extension, because URDF has no
+    stiffness.
+    """
     root = _root("robot", coupling, {"name": "coupling"})
     for name in ("base", "motor"):
         ET.SubElement(root, "link", name=name)
@@ -91,7 +95,7 @@ def sdf(coupling: Coupling) -> str:
 
 
 def c_header(coupling: Coupling) -> str:
-    """Return a C header with one macro a parameter, SI."""
+    """Return a C header with one macro for each parameter, SI."""
     lines = [
         "#ifndef HIL_COUPLING_H",
         "#define HIL_COUPLING_H",
@@ -128,11 +132,11 @@ FORMATS: Mapping[str, ModelFormat] = MappingProxyType(
         "json": ModelFormat(".json", as_json, complete=True),
     }
 )
-"""The formats of a coupling, by the name that --format takes."""
+"""All file formats for the coupling, by the name that --format takes."""
 
 
 def _placeholder(coupling: Coupling) -> float:
-    """Return an inertia, kg m^2, with which the coupling swings at a frequency that a simulation can follow."""
+    """Return an inertia, kg m^2, with which the coupling oscillates at a frequency that a simulation can follow."""
     return abs(coupling.stiffness) / (2.0 * math.pi * _FREE_FREQUENCY) ** 2
 
 
@@ -141,7 +145,7 @@ def _number(value: float) -> str:
 
 
 def _notes(coupling: Coupling) -> list[str]:
-    """Return where the numbers are from and how certain they are, safe in a comment of XML and C."""
+    """Return sentences about the source and the uncertainty of the numbers, for a comment in XML and C."""
     low, high = coupling.stiffness_interval
     least, most = coupling.damping_interval
     return [
@@ -152,7 +156,7 @@ def _notes(coupling: Coupling) -> list[str]:
 
 
 def _safe(text: str) -> str:
-    """Return a text that ends no comment of XML or C, and stays on its line."""
+    """Return the text without characters that would end a comment in XML or C, or begin a new line."""
     plain = "".join(character if character.isprintable() else "?" for character in text)
     return plain.replace("--", "- -").replace("*/", "* /").rstrip("-\\")
 

@@ -1,4 +1,4 @@
-"""Tables that PlotJuggler exports: the time is `__time`, a joint's position is `TOPIC/JOINT/position`."""
+"""Tables that PlotJuggler exports: the time is the column `__time`, a joint's position is `TOPIC/JOINT/position`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ TIME = "__time"
 
 
 def renamed(source: Path, titles: Sequence[str], topic: str | None, joint: str | None) -> list[str]:
-    """Return the headings, with its unit behind the time, and those of the chosen joint as a bag's are.
+    """Return the headings of a table of PlotJuggler, with the unit added to the time, and the columns of the chosen
+    joint renamed as those of a ROS 2 bag.
 
-    Raises WrongUse for a topic or joint that the table does not have, with those that it has.
+    Raises WrongUse for a topic or joint that the table does not have, with the list of those that it has.
     """
     if TIME not in titles:
         if topic is not None or joint is not None:
@@ -29,7 +30,7 @@ def renamed(source: Path, titles: Sequence[str], topic: str | None, joint: str |
 
 
 def _joint(source: Path, titles: Sequence[str], topic: str | None, joint: str | None) -> str:
-    """Return the path of the joint that is asked for, such as "/joint_states/finger"."""
+    """Return the path of the chosen joint, such as "/joint_states/finger"."""
     paths = [title.removesuffix("/position") for title in titles if title.endswith("/position")]
     of_topic = [path for path in paths if topic is None or path.rpartition("/")[0].strip("/") == topic.strip("/")]
     found = [path for path in of_topic if joint is None or path.rpartition("/")[2] == joint]

@@ -1,4 +1,4 @@
-"""Row filters: which rows of a table are kept, by comparing a column with a number."""
+"""Row filters: they select rows of a table by comparing a column with a number."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] =
 
 @dataclass(frozen=True, slots=True)
 class RowFilter:
-    """A filter that keeps the rows in which the comparison of `column` with `value` is true."""
+    """A filter that passes the rows in which the comparison of `column` with `value` is true."""
 
     column: str
     comparison: str
@@ -35,7 +35,7 @@ class RowFilter:
 
     @classmethod
     def parse(cls, text: str) -> RowFilter:
-        """Return the filter that a text such as "test_nr==100" describes. Raises WrongUse."""
+        """Return the filter described by a text such as "test_nr==100". Raises WrongUse."""
         match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(\S+)\s*", text)
         if match:
             try:
@@ -50,9 +50,9 @@ class RowFilter:
         return f"{self.column}{self.comparison}{self.value:g}"
 
     def keeps(self, value: float) -> bool:
-        """Return whether a row with `value` in the column is kept."""
+        """Return whether a row with `value` in the filter's column passes."""
         return bool(_COMPARISONS[self.comparison](value, self.value))
 
     def mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which of the rows with `values` (n,) in the column are kept, (n,)."""
+        """Return for each of the `values` (n,) in the filter's column whether its row passes, (n,)."""
         return np.asarray(_COMPARISONS[self.comparison](values, self.value), dtype=np.bool_)
