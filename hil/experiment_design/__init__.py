@@ -1,1 +1,1 @@
-"""Predict the standard errors of an excitation before the motor moves."""
+"""Predict the standard errors of Kc and Bc for an excitation before the motor moves."""

@@ -1,4 +1,6 @@
-"""Advice on an excitation before it is driven: warnings with their remedies, and the command that records it."""
+"""Advice on an excitation before the motor moves: warnings with remedies, and the command that records the
+excitation.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ _NORMAL = 1.96
 
 
 def of_task(task: Task, *, noise_stated: bool) -> list[Diagnostic]:
-    """Return the warnings that hold for every excitation of the task."""
+    """Return the warnings that apply to every excitation. noise_stated: whether the user gave the torque noise."""
     found = []
     if not noise_stated:
         found.append(
@@ -56,7 +58,7 @@ def _motor_side(task: Task) -> Diagnostic:
 
 
 def of_profile(task: Task, judged: Assessment) -> list[Diagnostic]:
-    """Return the warnings about one excitation, each beginning with its description."""
+    """Return the warnings about one excitation; each begins with a description of the excitation."""
     return [
         *_near_limits(judged),
         *_corner(task, judged),
@@ -165,7 +167,9 @@ def described(profile: Profile) -> str:
 
 
 def command(judged: Assessment, stand: str, rate: float) -> str:
-    """Return the command that records the excitation at `rate` Hz. stand: its options, such as "--backend sim"."""
+    """Return the command that records the excitation at `rate` Hz. stand: options that name the stand, such as
+    "--backend sim".
+    """
     profile = judged.profile
     words = f"hil record {stand} --profile {profile.kind}"
     if profile.setpoints:

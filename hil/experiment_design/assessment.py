@@ -1,7 +1,7 @@
-"""The assessment of an excitation on a stand before the motor moves: predicted motion, peaks and errors of Kc and Bc.
+"""Assess an excitation on a stand before the motor moves: predicted motion, peaks, and errors of Kc and Bc.
 
-The stand gives the sensors and the limits, the user a rough Kc and Bc; `hil.experiment_design.response` gives the
-motion and `hil.experiment_design.fisher` the errors. Nothing here drives anything.
+The stand file gives the sensors and the limits, the user gives rough values of Kc and Bc.
+`hil.experiment_design.response` predicts the motion and `hil.experiment_design.fisher` the errors. No motor is driven.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from hil.uncertainty.criteria import friction_likeness
 from sim_backend.parameters import SimParameters
 
 ROUGH_RANGE = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))
-"""Factors on the rough Kc and Bc; within them the best excitation keeps every limit."""
+"""The range of factors on the rough Kc and Bc within which the best excitation must keep every limit."""
 
 LIMITED = ("drive torque", "torque", "deflection", "velocity")
-"""The limited quantities, in the order of `Peaks`; the motor's torque and the coupling's are both at the joint."""
+"""The names of the limited quantities, in the order of `Peaks`. The motor's torque and the coupling's torque are both
+at the joint.
+"""
 
 UNITS = ("N m", "N m", "rad", "rad/s")
-"""The units of the limits."""
+"""The units of the limited quantities, in the same order."""
 
 AUTO = tuple(term for term in TERMS if term == "linear" or term in CONSIDERED)
-"""The terms that model selection considers and whose errors can be predicted. More terms never lower an error, so the
-errors of any model selected from them are at most these.
+"""The terms of model "auto": those that model selection considers and whose errors can be predicted.
+
+More terms never lower an error, so the errors of any model selected from these terms are at most those predicted here.
 """
 
 _DIGITS = 3
@@ -39,9 +42,10 @@ _DIGITS = 3
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """The design task: a roughly known joint, its sensors, its limits, and the terms to estimate.
+    """The task of an experiment design: a roughly known joint, its sensors, its limits, and the parameters to estimate.
 
-    terms: of the model. rate: Hz.
+    joint: rough Kc and Bc. readings: errors of the sensors. limits: largest allowed values. terms: of the model. mode:
+    what is commanded, torque or position. rate: sampling rate, Hz.
     """
 
     joint: Joint
@@ -53,16 +57,16 @@ class Task:
 
     @property
     def model(self) -> str:
-        """The terms joined, as --model names them."""
+        """The names of the terms joined with +, as --model takes them."""
         return "+".join(self.terms)
 
     @property
     def own_limit(self) -> float:
-        """The limit on the command: N m for torque, rad for position."""
+        """The limit on the commanded quantity: torque, N m, or position, rad."""
         return min(self.limits[:2]) if self.mode is Quantity.TORQUE else self.limits[2]
 
     def shares(self, found: Peaks) -> Peaks:
-        """Return every peak divided by its limit."""
+        """Return each of the peaks `found` divided by its limit."""
         return Peaks(*(peak / limit for peak, limit in zip(found, self.limits, strict=True)))
 
 
@@ -70,9 +74,10 @@ class Task:
 class Assessment:
     """An excitation with its predicted peaks and errors.
 
-    peaks: at the rough Kc and Bc. shares: each divided by its limit. worst_shares: the largest within `ROUGH_RANGE`.
-    friction: the bias of Bc, N m s/rad, for one N m of dry friction that the model omits; 0 if it has friction.
-    friction_likeness: the part of the damping torque that such friction would explain.
+    parameters: predicted errors. peaks: largest values at the rough Kc and Bc. shares: peaks divided by their limits.
+    worst_shares: the largest shares for Kc and Bc within `ROUGH_RANGE`. friction: bias of Bc, N m s/rad, for each N m
+    of dry friction that the model omits; 0 if the model has friction. friction_likeness: the fraction of the damping
+    torque that such friction would explain.
     """
 
     profile: Profile
@@ -88,17 +93,19 @@ class Assessment:
 
     @property
     def relative(self) -> float:
-        """The larger relative root mean square error of Kc and Bc, bias included, which the search makes least."""
+        """The relative root mean square error of Kc or Bc, whichever is larger, with the bias. The search minimises
+        this number.
+        """
         return max(self[name].relative() for name in ("Kc", "Bc"))
 
     @property
     def limited_by(self) -> str:
-        """The limit that a larger amplitude would reach first."""
+        """The name of the limit that would be reached first if the amplitude were raised."""
         return LIMITED[self.worst_shares.index(max(self.worst_shares))]
 
 
 def terms_of(model: str) -> tuple[str, ...]:
-    """Return the terms of a model such as "linear+offset", or of "auto".
+    """Return the names of the terms in a model such as "linear+offset", or in "auto".
 
     Raises WrongUse for a term whose errors cannot be predicted.
     """
@@ -123,9 +130,10 @@ def task_of(
     mode: Quantity,
     rate: float,
 ) -> Task:
-    """Return the task for a stand: rough kc, N m/rad, and bc, N m s/rad; torque_noise, N m at the joint; rate, Hz.
+    """Return the design task for a stand.
 
-    None: the value of `[sim]`. Raises WrongUse.
+    kc, bc: rough values, N m/rad and N m s/rad; None: the values in [sim], for a simulated stand only. torque_noise:
+    standard deviation, N m at the joint; None: the value in [sim]. model: terms, or "auto". rate: Hz. Raises WrongUse.
     """
     limits, simulated = stand.checked_limits(), stand.stand.backend == "sim"
     plant = stand.simulated()
@@ -166,7 +174,9 @@ def _joint(stand: Stand, plant: SimParameters | None, kc: float | None, bc: floa
 
 
 def _readings(stand: Stand, plant: SimParameters, torque_noise: float | None) -> Readings:
-    """Return the sensors of [sim.sensors], which describes them for every backend."""
+    """Return the sensor errors from [sim.sensors], which describes the sensors of every stand, not only of a simulated
+    one.
+    """
     sensors, ratio = plant.sensors, stand.stand.gear_ratio
     motor_side = stand.stand.torque_source == "motor"
     if motor_side:
@@ -185,7 +195,7 @@ def _readings(stand: Stand, plant: SimParameters, torque_noise: float | None) ->
 
 
 def assess(task: Task, profile: Profile) -> Assessment:
-    """Predict the motion, peaks and errors of `profile`. Raises WrongUse for a motion of less than one count."""
+    """Predict motion, peaks and errors for `profile`. Raises WrongUse if the motion is less than one encoder count."""
     motion, found = respond(task.joint, profile, task.rate)
     if found.deflection < task.readings.angle_lsb:
         raise WrongUse(
@@ -199,7 +209,7 @@ def assess(task: Task, profile: Profile) -> Assessment:
 
 
 def check_limits(task: Task, judged: Assessment) -> None:
-    """Raise WrongUse if the excitation would exceed a limit, with an amplitude that would not."""
+    """Raise WrongUse if the excitation would exceed a limit; the message proposes an amplitude within the limits."""
     worst = max(judged.shares)
     if worst <= 1.0 + 1e-9:
         return
@@ -218,7 +228,7 @@ def _unit(mode: Quantity) -> str:
 
 
 def worst_shares(task: Task, profile: Profile) -> Peaks:
-    """Return the largest share of every limit that the excitation reaches for Kc and Bc within `ROUGH_RANGE`."""
+    """Return each peak divided by its limit, at its largest for Kc and Bc within `ROUGH_RANGE`."""
     joints = [
         replace(task.joint, stiffness=task.joint.stiffness * stiffer, damping=task.joint.damping * thicker)
         for stiffer, thicker in itertools.product(*ROUGH_RANGE)
@@ -228,7 +238,9 @@ def worst_shares(task: Task, profile: Profile) -> Peaks:
 
 
 def rounded(value: float, *, down: bool = False) -> float:
-    """Round to the three significant digits that the printed command has; never up where `down`."""
+    """Return a number rounded to three significant digits, as the printed command has it. down: whether to round down
+    only.
+    """
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
     steps = math.floor(value / unit * (1.0 + 1e-12)) if down else round(value / unit)
     return float(f"{steps * unit:.{_DIGITS}g}")

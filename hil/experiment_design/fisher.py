@@ -1,11 +1,12 @@
-"""Predict the error of each parameter from a motion and its sensors (Fisher information).
+"""Predict the error of each parameter from a motion and from the sensors (Fisher information).
 
-Two errors are predicted. The Cramer-Rao bound is the smallest error of any unbiased estimate; least squares reaches it
-in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in white Gaussian noise
-increases the error by a factor sqrt(pi/2) = 1.25 (Koenker, Quantile Regression, 2005, section 4.3).
+Two errors are predicted. The Cramer-Rao bound is the smallest error of any unbiased estimate; least squares reaches
+this bound in Gaussian noise. `hil identify` minimises absolute deviations, as the paper does, which in white Gaussian
+noise increases the error by a factor sqrt(pi/2) = 1.25 (Koenker, Quantile Regression, 2005, section 4.3).
 
-Both follow from the sensitivities x of the torque to each parameter, and from the spectrum of the residuals of a right
-model: the torque's own noise, and that of the angle, which the coupling converts to torque.
+Both errors follow from the derivatives x of the torque with respect to each parameter, and from the spectrum of the
+residuals. With the correct model the residuals are the noise of the torque and the noise of the angle, which the
+coupling converts to torque.
 """
 
 from __future__ import annotations
@@ -37,9 +38,10 @@ _SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a dire
 class Readings:
     """The errors of the stand's sensors, all at the joint.
 
-    torque_noise: N m, white, Gaussian; torque_lsb: N m a count; angle_lsb: rad, the root of the sum of squares of the
-    counts of every encoder in the deflection; skew: s, how much older the torque reading is than the angle's;
-    motor_side: whether the torque is inferred from the motor's through equation (1).
+    torque_noise: standard deviation of the white Gaussian torque noise, N m. torque_lsb: one count of the torque, N m.
+    angle_lsb: one count of the deflection, rad; for several encoders the root of the sum of squares. skew: how much
+    older the torque reading is than the angle reading, s. motor_side: whether the torque is computed from the motor's
+    torque through equation (1).
     """
 
     torque_noise: float
@@ -50,18 +52,18 @@ class Readings:
 
     @property
     def white(self) -> float:
-        """The torque reading's standard deviation, N m, counts included."""
+        """The standard deviation of the torque reading, N m: noise and rounding to counts together."""
         return math.hypot(self.torque_noise, self.torque_lsb / math.sqrt(12.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """The predicted estimate of one parameter, SI.
+    """The predicted error of one parameter, SI.
 
-    rough: the value the prediction is for. error: standard error of the least absolute deviations of `hil identify`.
-    bound: of Cramer and Rao. bias: the part of the mean that comes from the
-    stand's known skew and from the smoothing of the rate. inflation: its variance over the one it had if all others
-    were known. Infinite where it cannot be estimated.
+    rough: the parameter's assumed value. error: standard error of the estimate of `hil identify` (least absolute
+    deviations). bound: Cramer-Rao bound of the standard error. bias: systematic error from the known skew of the
+    readings and from the smoothing of the rate. inflation: variance of the parameter, divided by the variance if all
+    other parameters were known. These numbers are infinite if the parameter cannot be estimated.
     """
 
     name: str
@@ -73,18 +75,21 @@ class Prediction:
     inflation: float
 
     def relative(self, scatter: float = 1.0) -> float:
-        """Return the root mean square error over `rough`; scatter: a factor on the standard error."""
+        """Return the root mean square error divided by `rough`. scatter: factor on the standard error."""
         return math.hypot(scatter * self.error, self.bias) / self.rough
 
 
 TERMS = tuple(name for name, term in TABLE.items() if term.linear or term.delays)
-"""The terms whose errors can be predicted: of the others, the torque has no derivative where they are absent."""
+"""The names of the terms whose errors can be predicted. For other terms the torque has no derivative where the term is
+zero.
+"""
 
 
 def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
-    """Return the torque's derivative (n, p + q) by every parameter of the terms, the nonlinear ones last.
+    """Return the derivative of the torque (n, p + q) with respect to each parameter of the terms; the nonlinear
+    parameters are last.
 
-    It is taken at the rough Kc and Bc and zero for the others.
+    The derivative is taken at the rough Kc and Bc, with all other parameters zero.
     """
     speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
     model = replace(_model(terms), origin=float(motion.time[0]), slowest=0.0, smoothing=speed)
@@ -102,12 +107,14 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
 
 
 def _ageing(joint: Joint, motion: Motion) -> Array:
-    """Return the derivative (n,), N m/s, of the torque reading with respect to its age."""
+    """Return the derivative of the torque reading (n,) with respect to its delay, N m/s."""
     return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
 
 
 def covariance(columns: Array) -> Array:
-    """Return the inverse (p, p) of X'X for columns (n, p); infinite variance where they cannot estimate a parameter."""
+    """Return the inverse (p, p) of X'X for columns X (n, p). A parameter that the columns do not determine has infinite
+    variance.
+    """
     norms = np.linalg.norm(columns, axis=0)
     scale = np.where(norms > 0.0, norms, 1.0)
     values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
@@ -119,7 +126,7 @@ def covariance(columns: Array) -> Array:
 
 
 def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Prediction, ...]:
-    """Return the predicted estimate of every parameter of the terms from this motion."""
+    """Return the predicted error of each parameter of the terms, for this motion and these sensors."""
     columns = sensitivities(terms, joint, motion)
     window = _Window(motion, readings.angle_lsb)
     inverse = covariance(columns)
@@ -143,7 +150,9 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
 
 
 def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
-    """Return the error of Bc, N m s/rad, for each N m of dry friction that the model lacks; 0 if it has friction."""
+    """Return the error of Bc, N m s/rad, for each N m of dry friction that the model omits; 0 if the model has
+    friction.
+    """
     if _model(terms).sticks:
         return 0.0
     columns = sensitivities(terms, joint, motion)
@@ -154,7 +163,9 @@ def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> f
 
 
 class _Window:
-    """The local polynomials that `hil identify` would use on this motion, as impulse responses."""
+    """The filters with which `hil identify` would compute rate and acceleration of this motion: local polynomials, as
+    impulse responses.
+    """
 
     def __init__(self, motion: Motion, angle_lsb: float) -> None:
         seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
@@ -168,11 +179,11 @@ class _Window:
         )
 
     def slope_of(self, values: Array) -> Array:
-        """Return the slope at every sample of values (n,), which begin and end at rest."""
+        """Return the filtered derivative of values (n,), which begin and end at rest."""
         return self._over(values, self.slope)
 
     def curvature_of(self, values: Array) -> Array:
-        """Return the curvature at every sample."""
+        """Return the filtered second derivative of values (n,), which begin and end at rest."""
         return self._over(values, self.curvature)
 
     def _over(self, values: Array, weights: Array) -> Array:
@@ -181,7 +192,9 @@ class _Window:
         return np.asarray(fftconvolve(values, weights, mode="same"))
 
     def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
-        """Return the gains of slope and curvature at the frequencies of a transform of `count` samples."""
+        """Return the frequency responses of the filters for derivative and second derivative, for a Fourier transform
+        of `count` samples.
+        """
         gains = []
         for half, weights in zip(self.halves, (self.slope, self.curvature), strict=True):
             padded = np.zeros(count)
@@ -191,7 +204,9 @@ class _Window:
 
 
 def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
-    """Return the inverse (p, p) of the Fisher information; only the angle's noise grows with frequency."""
+    """Return the inverse (p, p) of the Fisher information. The noise of the torque is white; that of the angle grows
+    with frequency.
+    """
     count = _padded(len(columns))
     slope = 2j * np.pi * np.fft.rfftfreq(count, step)
     turned = joint.stiffness + joint.damping * slope
@@ -203,10 +218,10 @@ def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class _Residual:
-    """The residuals of a right model, which are noise only.
+    """The noise that remains as residuals of the correct model.
 
-    variance: N^2 m^2. at_zero: its density there, 1/(N m). signs: the spectrum (m,) of the covariance of its signs
-    over that of white noise.
+    variance: N^2 m^2. at_zero: probability density at zero, 1/(N m). signs: spectrum (m,) of the covariance of the
+    residuals' signs, relative to white noise.
     """
 
     variance: float
@@ -215,7 +230,9 @@ class _Residual:
 
 
 def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
-    """Return the residuals; signs of Gaussian ones covary by 2/pi times the arc sine of their correlation."""
+    """Return the residuals of the correct model. The covariance of the signs of Gaussian residuals is 2/pi times the
+    arc sine of the residuals' correlation.
+    """
     slope, curvature = window.gains(_padded(count))
     turned = joint.stiffness + joint.damping * slope
     if readings.motor_side:
@@ -228,10 +245,11 @@ def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> 
 
 
 def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
-    """Return the covariance (p, p) of the least absolute deviations, A^-1 B A^-1; misfit: (n,) N m, from `_misfit`.
+    """Return the covariance (p, p) of the least absolute deviations, A^-1 B A^-1. misfit: (n,) N m, from `_misfit`.
 
-    A is twice the sum of x x' times the residual's density at zero, B the covariance of the sum of x times its sign.
-    Where the misfit stands above the noise, both density and sign hardly change any more.
+    A is twice the sum of x x' times the density of the residual at zero; B is the covariance of the sum of x times the
+    sign of the residual. Where the misfit is larger than the noise, the noise hardly changes that density and that
+    sign.
     """
     from scipy.special import ndtr
 
@@ -243,7 +261,9 @@ def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
 
 
 def _density_at_zero(variance: float, lsb: float) -> float:
-    """Return the density at zero, 1/(N m), of a Gaussian error plus rounding to counts of `lsb`; variance: of both."""
+    """Return the probability density at zero, 1/(N m), of a Gaussian error plus rounding to counts of `lsb`. variance:
+    of both together.
+    """
     gaussian = math.sqrt(max(variance - lsb**2 / 12.0, 0.0))
     if lsb <= 1e-6 * gaussian:
         return 1.0 / (math.sqrt(2.0 * math.pi) * gaussian)
@@ -251,7 +271,9 @@ def _density_at_zero(variance: float, lsb: float) -> float:
 
 
 def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
-    """Return the motion that `hil identify` would compute from readings without noise: late, and through the window."""
+    """Return the motion that `hil identify` would compute from readings without noise: with the delay of the torque and
+    with filtered derivatives.
+    """
     rate = window.slope_of(motion.dtheta)
     acceleration = window.curvature_of(motion.dtheta)
     if readings.motor_side:
@@ -263,10 +285,10 @@ def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> 
 
 
 def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:
-    """Return the parameters (p,) of the least mean absolute deviation over the noise, and the residual torque (n,).
+    """Return the parameters (p,) with the least mean absolute deviation in noise, and the residual torque (n,).
 
-    The mean of |m + e| over Gaussian e has the slope 2 Phi(m/sigma) - 1, so the least is a fit weighted with that over
-    m, found by repeating it.
+    The derivative of the mean of |m + e| over Gaussian e with respect to m is 2 Phi(m/sigma) - 1. So the minimum is a
+    least-squares fit with the weights (2 Phi(m/sigma) - 1)/m, which is repeated until it converges.
     """
     from scipy.special import ndtr
 
@@ -286,12 +308,12 @@ def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
 
 
 def _padded(count: int) -> int:
-    """Return the length of a transform without wrap-around."""
+    """Return the number of samples of a Fourier transform that avoids wrap-around."""
     return 1 << (2 * count - 1).bit_length()
 
 
 def _form(columns: Array, weight: Array) -> Array:
-    """Return X' W X (p, p) for columns (n, p) and a stationary W given by its spectrum (m,)."""
+    """Return X' W X (p, p) for columns X (n, p) and a stationary matrix W, which is given by its spectrum (m,)."""
     count = 2 * (len(weight) - 1)
     spectra = np.fft.rfft(columns, count, axis=0)
     twice = np.full(len(weight), 2.0)  # each frequency but the first and the last stands for its negative too
@@ -300,6 +322,8 @@ def _form(columns: Array, weight: Array) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Return the inverse (p, p), scaled first so that units do not matter."""
+    """Return the inverse (p, p) of a matrix. The matrix is scaled first, so that the units do not affect the
+    accuracy.
+    """
     scale = np.sqrt(np.diag(matrix))
     return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))

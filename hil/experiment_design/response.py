@@ -28,9 +28,9 @@ _FEWEST, _MOST = 4, 64  # steps between two ticks
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A coupling with stiffness Kc, N m/rad, and damping Bc, N m s/rad, and the motor reflected to the joint.
+    """A coupling with stiffness Kc, N m/rad, and damping Bc, N m s/rad, and the motor as it acts at the joint.
 
-    inertia: eta^2 Dm, kg m^2, 0 if it is not known. friction: eta^2 Bm, N m s/rad.
+    inertia: of the motor, eta^2 Dm, kg m^2, 0 if unknown. friction: viscous friction of the motor, eta^2 Bm, N m s/rad.
     """
 
     stiffness: float
@@ -40,20 +40,21 @@ class Joint:
 
     @property
     def corner(self) -> float:
-        """Hz above which the damper carries more of the torque than the spring: Kc/(2 pi Bc)."""
+        """The frequency above which the damper carries more torque than the spring, Kc/(2 pi Bc), Hz."""
         return self.stiffness / (2.0 * math.pi * self.damping)
 
     @property
     def resonance(self) -> float:
-        """Hz, the undamped resonance of the motor's inertia and the coupling; infinite without inertia."""
+        """The undamped resonance frequency of motor and coupling, Hz; infinite for a motor without inertia."""
         return math.sqrt(self.stiffness / self.inertia) / (2.0 * math.pi) if self.inertia else math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Equal-length (n,) arrays at the ticks: time s, dtheta rad, its rate rad/s and acceleration rad/s^2, torques N m.
+    """The predicted motion at the ticks, as arrays (n,).
 
-    torque: in the coupling. drive: the motor's, read at a tick before the tick's own set-point acts.
+    time: s. dtheta: deflection, rad, with its rate dtheta_dot, rad/s, and acceleration, rad/s^2. torque: in the
+    coupling, N m. drive: torque of the motor, N m, read at a tick before that tick's set-point acts.
     """
 
     time: Array
@@ -65,9 +66,9 @@ class Motion:
 
 
 class Peaks(NamedTuple):
-    """The largest magnitudes at any instant, at the joint.
+    """The largest magnitudes during a run, at the joint.
 
-    drive: the motor's torque, N m. torque: the coupling's, N m. deflection: rad. velocity: rad/s.
+    drive: torque of the motor, N m. torque: torque in the coupling, N m. deflection: rad. velocity: rad/s.
     """
 
     drive: float
@@ -77,12 +78,12 @@ class Peaks(NamedTuple):
 
 
 def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
-    """Return the motion at `rate` Hz and its peaks, between the ticks too."""
+    """Return the motion at `rate` Hz, and the peaks of the motion, also between the ticks."""
     return _responder(profile, rate)(joint)
 
 
 def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
-    """Return the peaks alone, for each of the joints."""
+    """Return the peaks of the motion for each of the joints."""
     answer = _responder(profile, rate)
     return [answer(joint)[1] for joint in joints]
 
@@ -118,10 +119,11 @@ def _driven(joint: Joint, command: Array, rate: float) -> tuple[Motion, Peaks]:
 
 
 def _oscillator(joint: Joint, command: Array, step: float) -> tuple[Array, Array]:
-    """Return deflection and rate (n + 1,) from rest, under torques (n,) each constant for `step` s: exact at each step.
+    """Return deflection and rate (n + 1,) under torques (n,), each constant for `step` s, from rest. The solution is
+    exact at each step.
 
-    J d'' + b d' + Kc d = u has the poles p and q, which advance the state by a step; as a recursion that is a
-    second-order filter. No inertia is replaced by one so small that it has no effect.
+    J d'' + b d' + Kc d = u has the poles p and q, which advance the state by a step; this recursion is computed as a
+    second-order filter. An inertia of zero is replaced by an inertia so small that it has no effect.
     """
     from scipy.signal import lfilter
 
@@ -148,7 +150,9 @@ def _oscillator(joint: Joint, command: Array, step: float) -> tuple[Array, Array
 
 
 def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, rate: float) -> tuple[Motion, Peaks]:
-    """Return the response to a prescribed deflection, its rate and acceleration, `steps` times a tick."""
+    """Return motion and peaks for a prescribed course of the deflection, with rate and acceleration, given at `steps`
+    points a tick.
+    """
     dtheta, velocity, acceleration = course
     torque = joint.stiffness * dtheta + joint.damping * velocity
     drive = torque + joint.inertia * acceleration + joint.friction * velocity  # equation 1

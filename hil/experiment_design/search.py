@@ -1,7 +1,7 @@
-"""The search for the excitation with the smallest errors of Kc and Bc within a stand's limits.
+"""Search the excitation with the smallest errors of Kc and Bc within a stand's limits.
 
-The deflection is proportional to the amplitude, so every excitation is assessed at the largest amplitude that keeps the
-limits for every Kc and Bc within `ROUGH_RANGE`, and the search is over kind and band alone.
+The deflection is proportional to the amplitude. So every excitation is assessed at the largest amplitude that keeps the
+limits for every Kc and Bc within `ROUGH_RANGE`, and only kind and band are searched.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ _LONGEST = 5.0  # s of the runs in the search; standard errors fall with the roo
 
 
 def best(task: Task, duration: float, progress: Progress | None = None) -> Assessment:
-    """Return the excitation of `duration` s with the smallest relative error of Kc and Bc within the limits, assessed.
+    """Return the assessment of the excitation of `duration` s that has the smallest relative error of Kc and Bc within
+    the limits.
 
-    A grid over kind and band, an octave apart; then, for each kind, steps of the best band's two ends, halved until
-    they matter no more; then the best of each kind at the whole duration. progress is called on the way. Raises
-    WrongUse where no band fits the rate and the duration, or where the terms cannot be distinguished by any motion.
+    First, a grid over kind and band in steps of an octave. Then, for each kind, smaller and smaller steps of both ends
+    of the best band. Finally, the best excitation of each kind over the whole duration. progress: called after each
+    step. Raises WrongUse if no band fits the rate and the duration, or if no motion can distinguish the terms.
     """
     span = min(duration, _LONGEST)
     lowest, highest = rounded(_PERIODS / span), rounded(task.rate / _TICKS, down=True)
@@ -63,7 +64,7 @@ def best(task: Task, duration: float, progress: Progress | None = None) -> Asses
 
 
 def _followed(items: Iterable[T], what: str, progress: Progress | None) -> Iterator[T]:
-    """Yield the items, and call `progress` after each is done."""
+    """Yield the items, and call `progress` with the text `what` and the completed fraction after each."""
     every = list(items)
     for number, item in enumerate(every, 1):
         yield item
@@ -72,9 +73,10 @@ def _followed(items: Iterable[T], what: str, progress: Progress | None) -> Itera
 
 
 class _Search:
-    """The relative errors of every kind and band tried so far.
+    """The state of the search: the relative errors of every kind and band assessed so far.
 
-    duration: s, of the whole run; a run in the search lasts `_LONGEST`, its fade the same share of it.
+    duration: of the whole run, s. A run in the search is at most `_LONGEST` s long, and its fade is shortened in
+    proportion.
     """
 
     def __init__(self, task: Task, duration: float, reach: tuple[float, float]) -> None:
@@ -86,7 +88,7 @@ class _Search:
         self._reach = reach
 
     def judge(self, kind: str, low: float, high: float) -> None:
-        """Assess the nearest band within reach, unless it is too narrow or was tried before."""
+        """Assess the band nearest to the given one that is possible, unless it is too narrow or was assessed before."""
         low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
         if EXCITATIONS[kind].from_zero:
             low = self._reach[0]
@@ -94,7 +96,7 @@ class _Search:
             self.errors[kind, (low, high)] = self._error(kind, (low, high))
 
     def refine(self, kind: str) -> None:
-        """Step from the best band of the kind to a local optimum, down to steps of 5 %."""
+        """Change the best band of a kind in steps, down to steps of 5 %, until no step improves the error."""
         step = math.sqrt(2.0)
         while step > 1.05:
             low, high = min((key for key in self.errors if key[0] == kind), key=self.errors.__getitem__)[1]
@@ -105,7 +107,9 @@ class _Search:
                 step = math.sqrt(step)
 
     def _error(self, kind: str, band: tuple[float, float]) -> float:
-        """Return the larger relative error of Kc and Bc over the whole run, at the largest amplitude."""
+        """Return the relative error of Kc or Bc, whichever is larger, over the whole run, at the largest allowed
+        amplitude.
+        """
         profile = _largest(self._task, _made(self._task, kind, band, self._span, self._fade))
         motion, _ = respond(self._task.joint, profile, self._task.rate)
         kc, bc = predict(self._task.terms, self._task.joint, motion, self._task.readings)[:2]
@@ -119,7 +123,7 @@ def _octaves(lowest: float, highest: float) -> list[float]:
 
 
 def _largest(task: Task, profile: Profile) -> Profile:
-    """Return the excitation of amplitude one at the largest amplitude within every limit."""
+    """Return the profile, which has amplitude one, scaled to the largest amplitude within all limits."""
     amplitude = min(task.own_limit, 1.0 / max(worst_shares(task, profile)))
     return replace(profile, amplitude=rounded(amplitude, down=True))
 

@@ -1,1 +1,1 @@
-"""The recording on disk: its reader, its writer, and the path it is written to."""
+"""Recordings on disk: reading, writing, checking and naming."""

@@ -1,4 +1,4 @@
-"""Read blocks of rows in a thread while the previous ones are processed."""
+"""Compute the next block of rows in a thread while the present block is processed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TypeVar
 
 T = TypeVar("T")
 Progress = Callable[[str, float], None]
-"""A function that is called with a phase in a few words, and the fraction done, 0 to 1; NaN: unknown."""
+"""A callback: it gets the name of a phase and the completed fraction, 0 to 1, or NaN if that is unknown."""
 
 
 def ahead(items: Iterable[T]) -> Iterator[T]:
-    """Yield the items in order; the next one is computed while the present one is used.
+    """Yield the items in order. The next item is computed in a thread while the present item is used.
 
-    Raises what computing an item raises, when that item is due.
+    An exception of computing an item is raised when that item would be yielded.
     """
     iterator = iter(items)
     with ThreadPoolExecutor(1) as pool:

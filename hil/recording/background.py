@@ -1,4 +1,6 @@
-"""A recording written by another process: the control loop puts its rows into shared memory and never waits."""
+"""Write a recording in a second process: the control loop puts its rows into shared memory and never waits for the
+disk.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +33,12 @@ _LAST = packed_event(0.0, "interrupted", "the recorder was killed; every row tha
 
 
 class BackgroundWriter:
-    """A recording in progress at `rate` Hz; a separate process writes its rows into the file of `recording`.
+    """A recording in progress whose rows a second process writes into the file of `recording`.
 
-    It replaces the `RecordingWriter` that it is given, and has the same attributes. If the recorder is killed, the
-    process writes every row that it was given; if the process is killed, this one does; if both are, `complete` does.
-    If the disk does not take rows, `append` raises Untrustworthy once the memory is half full. Raises WrongUse if the
-    process cannot be started.
+    This object replaces the `RecordingWriter` given as `recording`, and has the same attributes. rate: of the rows, Hz.
+    If the recorder is killed, the second process writes all rows that it received. If the second process is killed, the
+    recorder writes these rows. If both are killed, `complete` writes them later. If the disk does not accept rows,
+    `append` raises Untrustworthy once the memory is half full. Raises WrongUse if the process cannot be started.
     """
 
     def __init__(self, recording: RecordingWriter, rate: float) -> None:
@@ -79,22 +81,24 @@ class BackgroundWriter:
 
     @property
     def process(self) -> int:
-        """Return the number of the writing process."""
+        """Return the id of the writing process."""
         return self._process.pid
 
     @property
     def path(self) -> Path:
-        """Return the `.part` file."""
+        """Return the path of the `.part` file."""
         return self._recording.path
 
     @property
     def final(self) -> Path:
-        """Return the finished file."""
+        """Return the path of the finished file."""
         return self._recording.final
 
     @property
     def moved(self) -> str:
-        """Return a sentence that says so if both files had to be put elsewhere."""
+        """Return a sentence that says where the recording is, if its file was removed or replaced during the run;
+        otherwise "".
+        """
         return self._recording.moved
 
     def __enter__(self) -> Self:
@@ -126,16 +130,20 @@ class BackgroundWriter:
             raise Untrustworthy(f"the process that writes {self.path} was killed: its rows so far are kept")
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Add an event at `time` s. If the table is full it is dropped: samples matter more."""
+        """Add an event at `time` s. If the table of events is full, the event is dropped: samples are more
+        important.
+        """
         self._ring.add_event(packed_event(time, code, message))
 
     def flush(self) -> None:
-        """Wait until the rows so far are with the operating system. Raises Untrustworthy as `append` does."""
+        """Wait until the operating system has all rows so far. Raises Untrustworthy as `append` does."""
         while self._ring.taken < self._ring.put and self._advances():
             self._check()
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
-        """Do as `RecordingWriter.finish`. Raises Untrustworthy if the disk does not respond."""
+        """Write all rows and then the final file, as `RecordingWriter.finish`. Raises Untrustworthy if the disk does
+        not respond.
+        """
         self._end()
         return self._recording.finish(end_reason, force=force)
 
@@ -152,7 +160,9 @@ class BackgroundWriter:
             self._recording.close()
 
     def _end(self) -> None:
-        """Let the process write what is waiting and end; write what it did not. Raises Untrustworthy."""
+        """Let the second process write the waiting rows and end; write the rows that it did not write. Raises
+        Untrustworthy.
+        """
         if self._ended:
             return
         self._ended = True
@@ -176,7 +186,7 @@ class BackgroundWriter:
             self._ring.close()
 
     def _advances(self) -> bool:
-        """Wait a moment; return False if no row was written and the process did not end within `_PATIENCE` s."""
+        """Wait a moment. Return False if for `_PATIENCE` s no row was written and the process did not end."""
         before, begin = self._ring.taken, time.monotonic()
         while self._process.poll() is None and self._ring.taken == before:
             if time.monotonic() - begin > _PATIENCE:
@@ -186,10 +196,11 @@ class BackgroundWriter:
 
 
 def complete(path: Path) -> None:
-    """Write the rows that two killed processes left in shared memory into the unfinished recording `path`.
+    """Write the rows that are still in shared memory, because both processes were killed, into the unfinished recording
+    `path`.
 
-    Harmless if they left none. Raises WrongUse and Untrustworthy as reading the recording does, and if it cannot be
-    written.
+    Harmless if there are no such rows. Raises WrongUse and Untrustworthy as reading the recording does, and if the file
+    cannot be written.
     """
     with Recording(path) as recording:
         places = recording.live_places() if recording.live else None

@@ -1,4 +1,4 @@
-"""The channels of a recording: one table that defines the rows, their form on disk and their descriptions."""
+"""The channels of a recording: one table that defines the fields of a row, their storage and their descriptions."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 
 class Channel(NamedTuple):
-    """The unit of a channel, and its description."""
+    """The unit and the description of a channel."""
 
     unit: str
     description: str
 
 
 class Row(NamedTuple):
-    """One row of a recording, a field for each channel. `Row(seq)` is a row in which nothing was read."""
+    """One row of a recording, with a field for each channel. `Row(seq)` is a row without readings."""
 
     seq: Annotated[int, Channel("1", "row number since the start")]
     time: Annotated[float, Channel("s", "when the set-point was sent, from the start")] = math.nan
@@ -57,7 +57,7 @@ class Row(NamedTuple):
 
 
 row_of: Callable[[tuple[float, ...]], Row] = partial(tuple.__new__, Row)
-"""Return the row of all fields in their order; five times as fast as `Row` with names."""
+"""A function that returns a Row from the sequence of all its fields; five times as fast as `Row` with names."""
 
 _FIELDS = {name: get_args(hint) for name, hint in get_type_hints(Row, include_extras=True).items()}
 
@@ -65,16 +65,18 @@ CHANNELS: Mapping[str, Channel] = MappingProxyType({name: channel for name, (_, 
 _COMMANDED = {"torque": "N*m", "position": "rad", "current": "A", "voltage": "V"}
 ROW = np.dtype([(name, "<u8" if kind is int else "<f8") for name, (kind, _) in _FIELDS.items()])
 LATER = frozenset({"joint_time"})
-"""Channels that old recordings lack; they read as NaN."""
+"""The channels that old recordings do not have; they are read as NaN."""
 END_MARK = 2**64 - 1
-"""The `seq` of a row that is reserved but not written yet."""
+"""The `seq` of a row in the file that is reserved but not written yet."""
 
 Rows = NDArray[np.void]
 LARGEST = 1e12
-"""The largest value, SI, that counts as a reading of any channel; the square of a larger one could overflow."""
+"""The largest value, SI, that is accepted as a reading of any channel; the square of a larger value could overflow."""
 
 
 def units_of(mode: str) -> dict[str, str]:
-    """Return the unit of each channel for a profile of this mode, which determines the unit of its command."""
+    """Return the unit of each channel. The mode of the profile, torque or position, determines the unit of the
+    command.
+    """
     units = {name: channel.unit for name, channel in CHANNELS.items()}
     return units | {"command": _COMMANDED.get(mode, units["command"])}

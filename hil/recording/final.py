@@ -1,5 +1,5 @@
-"""The final file of a recording: compressed samples, one dataset a channel, with hashes of all that affects a
-result.
+"""The final file of a recording: compressed samples with one dataset for each channel, and hashes of everything that
+affects a result.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
 
 _LEVEL = 6  # of the deflation
 OVERHEAD = 1 << 18
-"""An upper estimate of the bytes of a file that are not samples."""
+"""The size of a file apart from its samples, bytes: an upper estimate."""
 
 
 class Finalised(NamedTuple):
-    """The number of rows in a final file, of those that were damaged and count as lost, and whether it can be trusted.
+    """The result of writing a final file: the number of rows, and the number of damaged rows, which are stored as lost.
 
-    trusted: whether the source still matched its hash; otherwise the file gets none.
+    trusted: whether the source still matched its hash; otherwise the final file gets no hash.
     """
 
     samples: int
@@ -37,10 +37,10 @@ class Finalised(NamedTuple):
 
 
 def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
-    """Write the recording `source` (either layout, any known schema) to `output` in the final layout.
+    """Write the recording `source` (finished or in progress, any known schema) to `output` as a final file.
 
-    The output appears complete or not at all, and `source` is not changed. end_reason: None marks it as recovered.
-    force: replace a file of that name. Raises WrongUse if the output cannot be written.
+    The output appears complete or not at all; `source` is not changed. end_reason: why the run ended; None marks the
+    recording as recovered. force: replace an existing file. Raises WrongUse if the output cannot be written.
     """
     with Recording(source) as recording:
         done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
@@ -83,16 +83,16 @@ def write_attributes(
 
 
 def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> None:
-    """Add the hash of the header, which must be complete."""
+    """Add the hash of the header to the file; the header must be complete."""
     attributes, profile = plain(file.attrs), plain(file["profile"].attrs)
     truth = {name: float(value) for name, value in truth.items()}
     file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
 
 
 def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | float]:
-    """Write the rows; return the attributes that follow from them.
+    """Write the rows; return the attributes that are computed from the rows, such as hashes and lateness.
 
-    If the torque equals that of the cell at the joint, it is stored once, under both names.
+    If the torque equals the torque cell's reading in every row, it is stored once, under both names.
     """
     group = file.create_group("samples")
     names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(recording)]
@@ -130,9 +130,9 @@ def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[An
 
 
 def _shrinks_shuffled(values: NDArray[Any]) -> bool:
-    """Return whether values compress better with their bytes shuffled, as those of a smooth channel do.
+    """Return whether values compress better with their bytes shuffled, as the values of a smooth channel do.
 
-    A channel of a coarse sensor has few distinct values, and compresses to half the size without shuffling.
+    A channel of a coarse sensor has few different values, and compresses to half the size without shuffling.
     """
     data = np.ascontiguousarray(values)
     sorted_ = data.view(np.uint8).reshape(-1, data.itemsize).T.tobytes()
@@ -140,14 +140,14 @@ def _shrinks_shuffled(values: NDArray[Any]) -> bool:
 
 
 def _from_cell(recording: Recording) -> bool:
-    """Return whether the torque equals that of the cell at the joint, to the last bit, in every row."""
+    """Return whether the torque equals the torque cell's reading, to the last bit, in every row."""
     return len(recording) > 0 and all(
         rows["torque"].tobytes() == rows["joint_torque"].tobytes() for _, rows in recording.rows()
     )
 
 
 def _rate(recording: Recording) -> float:
-    """Return the rate of the ticks, Hz; NaN for data that was not recorded here."""
+    """Return the rate of the ticks, Hz; NaN for imported data."""
     return float(recording.profile.get("rate", np.nan)) if recording.profile.get("kind") != "import" else np.nan
 
 

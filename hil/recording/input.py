@@ -1,4 +1,4 @@
-"""Open the files that a command reads: regular files only, with a limit on their size."""
+"""Open the files that a command reads: only regular files of limited size."""
 
 from __future__ import annotations
 
@@ -50,9 +50,10 @@ def read_text(path: Path, *, largest: int) -> str:
 
 @contextmanager
 def bounded_memory(size: int) -> Iterator[None]:
-    """Limit this process to `size` bytes more than it has: a larger allocation raises MemoryError.
+    """Limit the memory of this process to `size` bytes more than at present: a larger allocation raises MemoryError.
 
-    It protects from a library that unpacks whatever a file declares. Does nothing if the system has no such limit.
+    This protects from a library that unpacks as much data as a file declares. On a system without such limits nothing
+    is done.
     """
     try:
         import resource

@@ -1,4 +1,6 @@
-"""The checks of a recording: that the file may be opened, and that header, rows and events are as written."""
+"""Checks of a recording: whether the file may be opened, and whether header, rows and events are as they were
+written.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +25,9 @@ from hil.recording.ahead import Progress
 from hil.recording.channels import CHANNELS, END_MARK, LATER, ROW, Row, Rows
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
-"""A row of a recording in progress: the bytes of ROW and their CRC-32."""
+"""The layout of a row in a recording in progress: the bytes of ROW and their CRC-32."""
 EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200"), ("crc", "<u4")])
-"""An event of a recording in progress: `crc` is the CRC-32 of the bytes before it."""
+"""The layout of an event in a recording in progress; `crc` is the CRC-32 of the bytes before it."""
 
 _FEW = 4  # bytes
 _SMALL = 1 << 26  # bytes that any file may declare
@@ -36,9 +38,9 @@ _pack_row = struct.Struct("<" + "".join("Q" if ROW[name].kind == "u" else "d" fo
 
 
 def packed(rows: Iterable[Row]) -> bytes:
-    """Return the bytes of rows in the layout of LIVE, in half the time that an array needs.
+    """Return the bytes of rows in the layout of LIVE, twice as fast as through an array.
 
-    `row[:]` is a plain tuple, which is unpacked in half the time of a Row.
+    `row[:]` is a plain tuple, which is unpacked twice as fast as a Row.
     """
     crc32 = zlib.crc32
     return b"".join([(data := _pack_row(*row[:])) + _crc(crc32(data)) for row in rows])
@@ -54,7 +56,7 @@ def packed_array(rows: Rows) -> bytes:
 
 
 def packed_event(time: float, code: str, message: str) -> bytes:
-    """Return the bytes of an event in the layout of EVENT; text that is too long is cut off."""
+    """Return the bytes of an event in the layout of EVENT; a text that is too long is cut off."""
     data = np.array([(time, code.encode()[:32], message.encode()[:200], 0)], dtype=EVENT).tobytes()[:-4]
     return data + _crc(zlib.crc32(data))
 
@@ -62,8 +64,8 @@ def packed_event(time: float, code: str, message: str) -> bytes:
 def intact(table: Rows) -> NDArray[np.bool_]:
     """Return for each entry of a table, (n,) of LIVE or EVENT, whether its checksum is right.
 
-    In a table of older schemas, which have no checksums, all entries count as intact except those of zeros, which a
-    killed recorder had not written yet.
+    Tables of older schemas have no checksums. There every entry is returned as intact, unless all its bytes are zero
+    because a killed recorder had not written it.
     """
     if "crc" not in (table.dtype.names or ()):
         data = np.frombuffer(table.tobytes(), dtype=np.uint8).reshape(len(table), table.dtype.itemsize)
@@ -72,9 +74,10 @@ def intact(table: Rows) -> NDArray[np.bool_]:
 
 
 def written_first(table: Rows) -> int:
-    """Return how many rows at the beginning of a table of LIVE were written, whether or not their checksums are right.
+    """Return the number of rows at the beginning of a table of LIVE that were written, with a right or a wrong
+    checksum.
 
-    A row that holds the end mark or zeros, apart from a few damaged bytes, was not written.
+    A row that consists of the end mark or of zeros, apart from a few damaged bytes, was not written.
     """
     if table.dtype != LIVE:
         return 0
@@ -109,8 +112,9 @@ def header_hash(
 
 
 def rows_hash(blocks: Iterable[tuple[int, Rows]], names: list[str], length: int, progress: Progress | None) -> str:
-    """Return the SHA-256 of the named channels of rows, given in blocks with the index of the first; length: of all
-    rows.
+    """Return the SHA-256 of the named channels of all rows.
+
+    blocks: the rows, in blocks with the index of the first row. length: number of all rows, for progress.
     """
     digest = hashlib.sha256()
     for start, rows in blocks:
@@ -121,11 +125,11 @@ def rows_hash(blocks: Iterable[tuple[int, Rows]], names: list[str], length: int,
 
 
 def stored_hash(samples: h5py.Group, names: Iterable[str]) -> str:
-    """Return the SHA-256 of the named channels as stored, without decompressing them.
+    """Return the SHA-256 of the named channels as they are stored, without decompressing them.
 
-    It covers for each channel, in order: the JSON of its name, length, rows of a chunk and filters (number and
-    parameters); then for each chunk its filter mask, four bytes, and its bytes. "" if a channel is not stored only in
-    such chunks, or has another type than the channel: its bytes then do not determine its values.
+    The hash covers for each channel, in order: the JSON of its name, length, rows of a chunk and filters (number and
+    parameters); then for each chunk its filter mask, four bytes, and its bytes. Return "" if a channel is not stored
+    only in such chunks, or has another type than defined: then the stored bytes do not determine the values.
     """
     digest = hashlib.sha256()
     for name in names:
@@ -167,12 +171,12 @@ def legible(path: Path) -> Iterator[None]:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error; HDF5 adds its own stack after it."""
+    """Return the first line of an error's text; HDF5 adds its call stack in further lines."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def check_regular(path: Path) -> None:
-    """Raise WrongUse unless it is a regular file; a FIFO or a device would block the reader."""
+    """Raise WrongUse unless `path` is a regular file; a FIFO or a device would block the reader."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -198,7 +202,9 @@ def open_file(path: Path) -> h5py.File:
 
 
 def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
-    """Raise WrongUse for links out of the file, external or virtual storage: it must not read other files."""
+    """Raise WrongUse for a file with links to other files, or with external or virtual storage: a recording must not
+    read other files.
+    """
     for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
         for name in group if isinstance(group, h5py.Group) else ():
             if not _is_hard(group, name):
@@ -209,10 +215,11 @@ def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
 
 
 def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]:
-    """Return the number of rows of a finished recording, and the channels that its older schema does not have.
+    """Return the number of rows of a finished recording, and the names of the channels that its older schema does not
+    have.
 
-    Raises WrongUse if a channel is missing, is no column of numbers, or differs from the others in length, and if the
-    file declares more data than it can hold, which would fill memory or disk.
+    Raises WrongUse if a channel is missing, is no column of numbers or differs in length from the others. Raises
+    WrongUse as well if the file declares more data than its size can contain, which would fill memory or disk.
     """
     later = frozenset(name for name in LATER if name not in samples)
     names = [name for name in CHANNELS if name not in later]

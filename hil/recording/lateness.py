@@ -1,4 +1,6 @@
-"""How late the ticks of a run were sent: quantiles in bounded memory, whatever the length of the run."""
+"""Statistics of how late the set-points of a run were sent; the memory needed does not grow with the length of the
+run.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ _MISSED = np.uint64(int(Status.MISSED))
 
 
 class Lateness:
-    """The lateness of set-points sent at `rate` Hz, s: the time when each was sent less the time when it was due. NaN
-    without a rate.
+    """Collects the lateness of set-points, s: the time at which each was sent less the time at which it was planned.
+
+    rate: of the set-points, Hz. Without a rate the lateness is NaN.
     """
 
     def __init__(self, rate: float) -> None:
@@ -25,7 +28,7 @@ class Lateness:
         self._missed = 0
 
     def add(self, rows: Rows) -> None:
-        """Take rows, (n,) of ROW. Missed ticks are counted; rows without a time are skipped."""
+        """Add rows, (n,) of ROW. Missed ticks are counted; rows without a time are skipped."""
         missed = (rows["status"] & _MISSED) != 0
         late = (rows["time"] - rows["seq"] / self._rate)[~missed]
         late = late[np.isfinite(late)]
@@ -34,15 +37,17 @@ class Lateness:
         self._most = max(self._most, float(late.max(initial=0.0)))
 
     def attributes(self) -> dict[str, float | int]:
-        """Return the attributes that a recording stores: two quantiles within 0.5 %, the largest lateness (s), and the
-        missed ticks.
+        """Return the attributes that a recording stores: median and 99 % quantile, each within 0.5 %, the largest
+        lateness (s), and the number of missed ticks.
         """
         quantiles = {f"lateness_p{percent}": self._quantile(percent / 100) for percent in (50, 99)}
         most = self._most if self._counts.any() else np.nan
         return quantiles | {"lateness_max": most, "missed": self._missed}
 
     def _quantile(self, share: float) -> float:
-        """Return the upper edge of the bin of the quantile, 0 below the first bin, NaN without any ticks."""
+        """Return the quantile `share` of the lateness as the upper edge of its bin: 0 below the first bin, NaN without
+        any tick.
+        """
         if not self._counts.any():
             return np.nan
         place = int(np.searchsorted(np.cumsum(self._counts), share * self._counts.sum()))

@@ -1,4 +1,4 @@
-"""Where a file is written: the next free name, files that must not be overwritten, and atomic writing."""
+"""The name of an output file: the next free name, protection of existing files, and atomic writing."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ _OTHERS = frozenset(
         ".xml",
     }
 )
-"""Suffixes of other formats, and of a recording in progress: a recording with such a name would be mistaken for one."""
+"""Suffixes that a recording must not have: those of other formats, and that of a recording in progress."""
 _READ_ONLY = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
 class NameTaken(WrongUse):
-    """Another recording already has this name."""
+    """The error that another recording already has the name."""
 
 
 def part_path(path: Path) -> Path:
-    """Return the path of the recording in progress that will become `path`."""
+    """Return the path of the recording in progress whose finished file will be `path`."""
     return path.with_name(path.name + ".part")
 
 
 def next_free(folder: Path) -> Path:
-    """Return the next `runN.h5` of `folder` that no finished or unfinished recording has. Creates the folder."""
+    """Return the first name `runN.h5` in `folder` that no finished or unfinished recording has. Creates the folder."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         names = [path.name.removesuffix(".part") for path in folder.glob("run*.h5*")]
@@ -76,7 +76,7 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
 
 
 def check_recording_name(path: Path) -> Path:
-    """Return the path of a recording. Raises WrongUse for the suffix of another format."""
+    """Return `path` as the path of a recording. Raises WrongUse if its suffix is that of another format."""
     if path.suffix.lower() in _OTHERS:
         stem = path.with_suffix("")
         better = stem if stem.suffix == ".h5" else path.with_suffix(".h5")
@@ -85,7 +85,7 @@ def check_recording_name(path: Path) -> Path:
 
 
 def check_unfinished(path: Path) -> None:
-    """Raise WrongUse if there is an unfinished recording that would become `path`. Changes nothing."""
+    """Raise WrongUse if there is an unfinished recording whose finished file would be `path`. Changes nothing."""
     part = part_path(path)
     with writing(path):
         if part.exists():
@@ -97,13 +97,15 @@ def check_unfinished(path: Path) -> None:
 
 
 def check_ended(part: Path) -> None:
-    """Raise WrongUse if the unfinished recording `part` is still being recorded, so that it cannot be recovered yet."""
+    """Raise WrongUse if the recording `part` is still in progress, because then it cannot be recovered yet."""
     with writing(part):
         _unlock(_locked_alone(part))
 
 
 def remove_unfinished(path: Path) -> None:
-    """Remove the unfinished recording that would become `path`, if any. Raises WrongUse while it is being recorded."""
+    """Remove the unfinished recording whose finished file would be `path`, if there is one. Raises WrongUse if the
+    recording is in progress.
+    """
     part = part_path(path)
     with writing(path):
         file = _locked_alone(part)
@@ -114,8 +116,8 @@ def remove_unfinished(path: Path) -> None:
 
 
 def _locked_alone(part: Path) -> int | None:
-    """Return the open and locked file `part`, None if it does not exist. Raises WrongUse if another process has it
-    locked.
+    """Open and lock the file `part`, and return its descriptor; None if the file does not exist. Raises WrongUse if
+    another process has locked it.
     """
     try:
         file = open_binary(part, os.O_RDWR)
@@ -145,7 +147,7 @@ def _unlock(file: int | None) -> None:
 def check_space(path: Path, size: int) -> None:
     """Raise WrongUse if fewer than `size` bytes are free in the folder of `path`.
 
-    HDF5 does not survive a disk that fills up (it ends in a segmentation fault), so it is never started on one.
+    HDF5 ends in a segmentation fault when a disk becomes full, so the space is checked before HDF5 writes.
     """
     free = shutil.disk_usage(path.parent).free
     if free < size:
@@ -156,9 +158,10 @@ def check_space(path: Path, size: int) -> None:
 
 
 def new_temporary(path: Path) -> tuple[int, Path]:
-    """Return a new file in the folder of `path`, locked while it is open, and its unpredictable name.
+    """Create a file with an unpredictable name in the folder of `path`; return its descriptor and its path. The file is
+    locked while it is open.
 
-    The name keeps the last suffixes of `path`. Temporary files that killed processes left in the folder are removed.
+    The name has the last suffixes of `path`. Temporary files of killed processes in the folder are removed.
     """
     _remove_abandoned(path.parent)
     while True:
@@ -177,7 +180,7 @@ def new_temporary(path: Path) -> tuple[int, Path]:
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Remove the temporary files whose process has ended, so that their lock is free."""
+    """Remove the temporary files of processes that have ended: nobody holds their lock."""
     for path in [path for path in folder.iterdir() if _TEMPORARY.match(path.name)]:
         with suppress(OSError):  # another process may remove it too, or may be using it
             file = open_binary(path, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
@@ -191,11 +194,11 @@ def _remove_abandoned(folder: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a new file in the folder of `path` to write to, which is then renamed: a result appears complete or not at
-    all.
+    """Yield the path of a new file in the folder of `path`. After the block, the new file is renamed to `path`, so that
+    a result appears complete or not at all.
 
-    It is a locked file of `new_temporary`. force: whether a regular file at `path` is replaced; nothing else ever is.
-    Raises WrongUse if the file may not be replaced, or if `path` cannot be written.
+    The new file is locked, as in `new_temporary`. force: whether an existing regular file at `path` is replaced;
+    anything else is never replaced. Raises WrongUse if the file may not be replaced, or if `path` cannot be written.
     """
     with writing(path):
         locked, temporary = new_temporary(path)
@@ -216,7 +219,7 @@ def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn the system's error for an output that cannot be written into a WrongUse."""
+    """Convert the system's error in the block, that an output cannot be written, to a WrongUse."""
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
@@ -224,7 +227,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def _check_replaceable(path: Path, *, force: bool) -> None:
-    """Raise WrongUse if there is a file at `path`, or with `force` one that is not regular."""
+    """Raise WrongUse if there is a file at `path`; with `force`, only if that file is not regular."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -246,7 +249,7 @@ def _is_same(path: Path, other: Path) -> bool:
 
 
 def _reason(error: Exception) -> str:
-    """Return the system's own words out of an error that HDF5 has wrapped."""
+    """Return the system's error text from an error that HDF5 has wrapped."""
     number = getattr(error, "errno", None)
     if number:
         return os.strerror(number)

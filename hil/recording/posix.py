@@ -1,4 +1,4 @@
-"""File operations that only POSIX has, each with a portable equivalent."""
+"""File operations that only POSIX systems have, each with a replacement for other systems."""
 
 from __future__ import annotations
 
@@ -148,7 +148,9 @@ else:
 
 
 def keep_durable(file: int, ended: threading.Event) -> OSError | None:
-    """Make the data of an open file durable on disk four times a second until `ended`; return the error, if any."""
+    """Flush an open file to the disk four times a second until `ended` is set; return the error that occurred, if
+    any.
+    """
     while not ended.wait(_DURABLE):
         try:
             os.fsync(file)
@@ -158,22 +160,22 @@ def keep_durable(file: int, ended: threading.Event) -> OSError | None:
 
 
 def is_at(file: int, path: Path) -> bool:
-    """Return whether `path` still names the open file."""
+    """Return whether `path` is still the name of the open file."""
     with suppress(OSError):
         return os.path.samestat(os.fstat(file), path.stat())
     return False
 
 
 def open_binary(path: Path, flags: int) -> int:
-    """Open a file for bytes without any conversion."""
+    """Open a file for bytes, without any conversion of line ends; return its descriptor."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), 0o666)
 
 
 def since_boot() -> tuple[str, float]:
-    """Return an identifier of the computer's last start, and the time since, s, which setting the clock does not
-    change.
+    """Return an identifier of the computer's last start, and the time since then, s. Setting the clock does not change
+    this time.
 
-    The identifier is "" if the system gives neither.
+    The identifier is "" if the system provides no identifier or no such time.
     """
     try:
         name = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()

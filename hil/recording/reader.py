@@ -71,9 +71,9 @@ RENAMED: Mapping[str, Mapping[str, str]] = MappingProxyType(
         SCHEMA: MappingProxyType({}),
     }
 )
-"""The schemas that are read, each with its old names of attributes of /profile."""
+"""The schemas that can be read; for each, the old names of attributes of /profile that were renamed later."""
 BLOCK = 65536
-"""Rows processed at a time, so that no recording is ever completely in memory."""
+"""The number of rows that are processed at a time, so that a long recording is never completely in memory."""
 
 EVENTS = 256
 """The number of events that a recording in progress has room for."""
@@ -87,7 +87,7 @@ Array = NDArray[np.float64]
 
 
 class Event(NamedTuple):
-    """An event at `time` s: a short code and a sentence."""
+    """An event of a run: its time, s, a short code and a sentence."""
 
     time: float
     code: str
@@ -95,11 +95,11 @@ class Event(NamedTuple):
 
 
 class Recording:
-    """An open recording, finished or not; `len()` is its number of rows.
+    """An open recording, finished or not. `len(recording)` is the number of rows.
 
-    attributes: the root's. profile: the excitation, by the names of SCHEMA for any schema of the file. complete:
-    whether it ended as planned. live: whether it still has the layout of a recording in progress. Raises WrongUse for a
-    file that is no recording or has an unknown schema, Untrustworthy for a damaged one.
+    attributes: those of the file's root. profile: the excitation, with the attribute names of the newest schema.
+    complete: whether the run ended as planned. live: whether the file has the layout of a recording in progress. Raises
+    WrongUse for a file that is no recording or has an unknown schema, Untrustworthy for a damaged recording.
     """
 
     def __init__(self, path: Path) -> None:
@@ -120,11 +120,11 @@ class Recording:
 
     @property
     def imported(self) -> bool:
-        """Return whether it was imported from a table of another program."""
+        """Return whether the recording was imported from a table of another program."""
         return self.profile.get("kind") == "imported"
 
     def _try_out(self) -> None:
-        """Read everything except the rows in a copy of this process, because HDF5 can hang or crash on a damaged
+        """Read everything except the rows in a forked copy of this process, because HDF5 can hang or crash on a damaged
         file.
         """
         answer = in_child(self._refusal, processor=_TRIAL_TIME, memory=_TRIAL_MEMORY)
@@ -138,7 +138,7 @@ class Recording:
             raise _REFUSALS[kind](message)
 
     def _refusal(self) -> bytes:
-        """Return "ok", or the name and the sentence of the error that reading the header raises."""
+        """Read the header. Return "ok", or the name and the text of the error that this raises."""
         try:
             with open_file(self.path) as self._file, legible(self.path):
                 self._read_header()
@@ -149,7 +149,7 @@ class Recording:
         return b"ok"
 
     def _read_header(self) -> int:
-        """Read everything before the rows, and return how many rows the file has room for."""
+        """Read everything before the rows; return the number of rows for which the file has room."""
         refuse_foreign_storage(self._file, self.path)
         self.attributes = plain(self._file.attrs)
         names = self._renamed()
@@ -173,16 +173,18 @@ class Recording:
 
     @property
     def damaged(self) -> int:
-        """Return the number of rows of an unfinished recording that are not as written; they read as lost."""
+        """Return the number of damaged rows in an unfinished recording; damaged rows are read as lost."""
         return len(self._damaged)
 
     @property
     def stand_toml(self) -> str:
-        """Return the stand file it was recorded with, "" without one."""
+        """Return the text of the stand file with which the recording was made, "" without a stand file."""
         return str(self.attributes.get("stand_toml", ""))
 
     def rows(self, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
-        """Yield the rows in order, `block` at a time with the index of the first. Raises Untrustworthy."""
+        """Yield all rows in order, in blocks of `block` rows, each with the index of its first row. Raises
+        Untrustworthy.
+        """
         for start in range(0, self._length, block):
             stop = min(start + block, self._length)
             source = self._live_rows(start, stop) if self.live else None
@@ -192,7 +194,7 @@ class Recording:
             yield start, rows
 
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
-        """Return rows `start` to `stop` (None: the last) of one channel, (n,) float64 in its SI unit.
+        """Return rows `start` to `stop` (None: to the end) of one channel, (n,) float64 in its SI unit.
 
         Raises Untrustworthy if the file is damaged.
         """
@@ -200,7 +202,7 @@ class Recording:
         return np.asarray(self._column(name, start, stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
-        """Return the events of the run, in order. Raises WrongUse for a damaged file."""
+        """Return the events of the run in order. Raises WrongUse for a damaged file."""
         with legible(self.path):
             if self.live:
                 return self._live_events()
@@ -218,30 +220,34 @@ class Recording:
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self, progress: Progress | None = None) -> bool:
-        """Return whether header, rows and events are as written. Raises as reading them does.
+        """Return whether header, rows and events are as they were written. Raises as reading them does.
 
-        progress is called with the fraction of the rows checked. Recordings of older schemas are checked against the
-        hash that they have; an unfinished one had none.
+        progress: called with the fraction of the rows that have been checked. A recording of an older schema is checked
+        with the hash that it has; an unfinished recording of such a schema has no hash.
         """
         with legible(self.path):
             intact_rows = not self.damaged if self.live else self._rows_intact(progress)
             return intact_rows and self.header_intact()
 
     def header_intact(self) -> bool:
-        """Return whether attributes, profile and truth are as written, and the events of a finished recording."""
+        """Return whether attributes, profile and truth are as they were written; for a finished recording, also the
+        events.
+        """
         if self.attributes["schema"] != SCHEMA and "sha256_header" not in self.attributes:
             return True
         events = [] if self.live else self.events()
         return self._stated("sha256_header") == header_hash(self.attributes, self.profile, self.truth(), events)
 
     def live_places(self) -> tuple[int, int]:
-        """Return the byte offsets of the rows and of the events of an unfinished recording."""
+        """Return the byte offsets of the rows and of the events in the file of an unfinished recording."""
         with legible(self.path):
             rows, events = (int(self._file[name].id.get_offset()) for name in ("live", "live_events"))
             return rows, events
 
     def check_unchanged(self) -> None:
-        """Raise Untrustworthy if it is not as written. Damaged rows of an unfinished recording count as lost."""
+        """Raise Untrustworthy if the recording is not as it was written. Damaged rows of an unfinished recording are
+        accepted as lost rows.
+        """
         if not (self.header_intact() if self.live else self.verify()):
             raise Untrustworthy(
                 f"{self.path} is not as it was written (its SHA-256 differs), so its rows cannot be trusted: use "
@@ -295,7 +301,9 @@ class Recording:
         return group
 
     def _renamed(self) -> Mapping[str, str]:
-        """Return the old names of attributes of /profile in its schema. Raises WrongUse for an unknown schema."""
+        """Return the old names of attributes of /profile in the schema of this file. Raises WrongUse for an unknown
+        schema.
+        """
         schema = str(self.attributes.get("schema", ""))
         if not schema.startswith("hil-recording/"):
             raise WrongUse(f"{self.path} is HDF5 but not a recording of hil: bring its data in with `hil import`")
@@ -307,9 +315,9 @@ class Recording:
         return RENAMED[schema]
 
     def _count_live(self) -> int:
-        """Return the number of rows up to the last written one, and note the damaged ones.
+        """Return the number of rows up to the last written row, and store the indices of the damaged rows.
 
-        A block of rows without a valid one ends the search, so that a day-long run that has just begun is not read
+        The search ends at a block without a valid row, so that a day-long run that has just begun is not read
         completely.
         """
         live = self._file["live"]
@@ -334,7 +342,9 @@ class Recording:
 
 
 def _valid(rows: Rows, first: int) -> NDArray[np.int64]:
-    """Return the indices of the rows that are as written; first: the index of the first one."""
+    """Return the indices of the rows that are as they were written. first: index of the first of `rows` in the
+    recording.
+    """
     index = np.arange(first, first + len(rows))
     found: NDArray[np.int64] = index[(rows["seq"] == index.astype(np.uint64)) & intact(rows)]
     return found

@@ -1,4 +1,4 @@
-"""Keep the rows of a recording whose file was removed, renamed or replaced while it was recorded."""
+"""Save the rows of a recording whose file was removed, renamed or replaced while it was recorded."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ _BLOCK = 1 << 20  # bytes copied at a time
 
 
 def rescue(file: int, final: Path) -> tuple[int, Path]:
-    """Copy an open `.part` that has lost its name to a new one. Return the copy, open and locked, and its path.
+    """Copy an open `.part` that has no name any more to a new file. Return the descriptor of the copy, open and locked,
+    and its path.
 
-    final: the name it would have become. The copy is put in that folder, or else in the working directory, the home
-    folder or the system's temporary folder. Raises WrongUse if none of them can take it.
+    final: the planned path of the finished file. The copy is put in the folder of `final`; if that fails, in the
+    working directory, the home folder or the system's temporary folder. Raises WrongUse if the copy fits in none of
+    these.
     """
     reasons = []
     for folder in _folders(final):
@@ -64,7 +66,9 @@ def _copy(file: int, final: Path) -> tuple[int, Path]:
 
 
 def _names(part: Path) -> Iterator[Path]:
-    """Yield names for a `.part` whose final name is free: its own, a-rescued.h5.part, a-rescued2.h5.part and so on."""
+    """Yield names for the copied `.part` whose finished file does not exist: the old name, a-rescued.h5.part,
+    a-rescued2.h5.part and so on.
+    """
     stem, dot, rest = part.name.partition(".")
     for number in count():
         name = f"{stem}-rescued{number if number > 1 else ''}{dot}{rest}" if number else part.name

@@ -1,7 +1,8 @@
 """The shared memory through which rows and events pass from the control loop to the writing process.
 
-One process puts, one takes, and neither waits for the other. The memory has a name, so the rows survive the death of
-both processes: `Ring.left` finds them. Imports no numpy, so that the writing process starts quickly.
+The control loop puts rows, the writing process takes rows, and neither waits for the other. The memory has a name, so
+the rows are kept if both processes die: `Ring.left` finds them. The module does not import numpy, so that the writing
+process starts quickly.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
 
 class Shape(NamedTuple):
-    """The sizes of a ring and its destination: room for rows of `row` bytes and for events of `event` bytes.
+    """The sizes of a ring and of the file that its rows are written to.
 
-    rows_at, events_at: byte offsets of the first row and event in the file. The last event is the one that the writing
-    process adds if the recorder dies.
+    rows, row: number of rows that the ring has room for, and bytes of a row. events, event: number of events, and bytes
+    of an event. rows_at, events_at: byte offsets of the first row and of the first event in the file. The last event is
+    the one that the writing process adds if the recorder dies.
     """
 
     rows: int
@@ -41,12 +43,14 @@ class Shape(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Return the bytes of the shared memory."""
+        """Return the size of the shared memory, bytes."""
         return _HEADER + self.rows * self.row + self.events * self.event
 
 
 class Ring:
-    """Shared memory in the open `file` with the name `path`, which is locked while a process has it open."""
+    """A ring buffer in shared memory: the open `file` with the name `path`. The file is locked while a process has it
+    open.
+    """
 
     def __init__(self, file: int, path: Path) -> None:
         self.file = file
@@ -97,7 +101,7 @@ class Ring:
 
     @classmethod
     def left(cls, uid: str) -> Self | None:
-        """Return the ring of the recording `uid` whose processes were both killed, None if they left none."""
+        """Return the ring of the recording `uid` if its two processes were killed; None if there is no such ring."""
         for folder in _folders():
             with suppress(OSError, ValueError):  # none; somebody else's; one that a process has; a name that is none
                 path = _path(folder, uid)
@@ -120,17 +124,17 @@ class Ring:
 
     @property
     def taken(self) -> int:
-        """Return the number of rows taken, which are with the operating system."""
+        """Return the number of rows taken so far; the operating system has these rows."""
         return self._numbers[_TAKEN]
 
     @property
     def events_taken(self) -> int:
-        """Return the number of events taken, which are with the operating system."""
+        """Return the number of events taken so far; the operating system has these events."""
         return self._numbers[_EVENTS_TAKEN]
 
     @property
     def failure(self) -> int:
-        """Return the number of the system error that ended the writing, 0 without one."""
+        """Return the number of the system error that ended the writing, 0 without an error."""
         return self._numbers[_FAILURE]
 
     @failure.setter
@@ -139,15 +143,15 @@ class Ring:
 
     @property
     def closed(self) -> bool:
-        """Return whether nothing more will be put."""
+        """Return whether the control loop has declared that it puts nothing more."""
         return bool(self._numbers[_CLOSED])
 
     def end(self) -> None:
-        """Declare that nothing more will be put."""
+        """Declare that the control loop puts nothing more."""
         self._numbers[_CLOSED] = 1
 
     def add(self, row: bytes) -> int:
-        """Put a row; return how many are waiting. A row without room is lost."""
+        """Put a row; return the number of rows that wait. If there is no room, the row is lost."""
         put = self._numbers[_PUT]
         waiting = put - self._numbers[_TAKEN]
         if waiting < self.shape.rows:
@@ -157,14 +161,14 @@ class Ring:
         return waiting + 1
 
     def add_event(self, event: bytes) -> None:
-        """Put an event. An event without room is lost; the last place is reserved for `set_last_event`."""
+        """Put an event. If there is no room, the event is lost; the last place is reserved for `set_last_event`."""
         put = self._numbers[_EVENTS_PUT]
         if put < self.shape.events - 1:
             self._set_event(put, event)
             self._numbers[_EVENTS_PUT] = put + 1
 
     def set_last_event(self, event: bytes) -> None:
-        """Set the event that is written if the recorder dies."""
+        """Set the event that the writing process adds if the recorder dies."""
         self._set_event(self.shape.events - 1, event)
 
     def _set_event(self, place: int, event: bytes) -> None:
@@ -172,12 +176,14 @@ class Ring:
         self._memory[at : at + self.shape.event] = event
 
     def event(self, place: int) -> bytes:
-        """Return an event by its place in the order of putting; -1 is the reserved last event."""
+        """Return the event number `place`, from 0 in the order of putting; -1 is the reserved last event."""
         at = self._events + place % self.shape.events * self.shape.event
         return self._memory[at : at + self.shape.event]
 
     def waiting(self) -> bytes:
-        """Return rows put but not taken: all, or those up to the end of the memory."""
+        """Return the bytes of the rows that were put and not taken; where the ring wraps around, only those before the
+        wrap.
+        """
         taken, put = self._numbers[_TAKEN], self._numbers[_PUT]
         place = taken % self.shape.rows
         count = min(put - taken, self.shape.rows - place)
@@ -185,37 +191,39 @@ class Ring:
         return self._memory[at : at + count * self.shape.row]
 
     def take(self, rows: int) -> None:
-        """Declare that `rows` rows of `waiting` are with the operating system."""
+        """Declare that the operating system has the first `rows` rows of `waiting`."""
         self._numbers[_TAKEN] += rows
 
     def events_waiting(self) -> list[bytes]:
-        """Return the events put but not taken."""
+        """Return the events that were put and not taken."""
         return [self.event(place) for place in range(self._numbers[_EVENTS_TAKEN], self._numbers[_EVENTS_PUT])]
 
     def take_events(self, events: int) -> None:
-        """Declare that `events` events of `events_waiting` are with the operating system."""
+        """Declare that the operating system has the first `events` events of `events_waiting`."""
         self._numbers[_EVENTS_TAKEN] += events
 
     def remove(self) -> None:
-        """Remove its name, after everything put is with the operating system. Harmless if it has none."""
+        """Remove the name of the shared memory, when the operating system has everything. Harmless if it has no
+        name.
+        """
         self.path.unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Release the memory."""
+        """Release the shared memory."""
         self._numbers.release()
         self._memory.close()
         os.close(self.file)
 
 
 def _folders() -> list[str]:
-    """Return the folders that a ring may be in: in memory first, else on a disk, where a row may have to wait."""
+    """Return the folders for a ring: first one in memory, then one on a disk, where writing a row may have to wait."""
     with suppress(OSError):  # no folder for temporary files can be written
         return [_SHARED, tempfile.gettempdir()]
     return [_SHARED]
 
 
 def _path(folder: str, uid: str) -> Path:
-    """Return the name of the ring of the recording `uid`. Raises ValueError for a uid that hil does not give."""
+    """Return the path of the ring of the recording `uid`. Raises ValueError for a `uid` that hil does not generate."""
     return Path(folder, _name(str(uuid.UUID(uid))))
 
 

@@ -35,7 +35,7 @@ from hil.recording.ring import Ring
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The part of a recording that is known before its first row: all except samples, events and end."""
+    """The part of a recording that is known before its first row: everything except samples, events and end."""
 
     profile: Mapping[str, str | float]
     stand_toml: str = ""
@@ -46,7 +46,7 @@ class Header:
 
 
 class Place(NamedTuple):
-    """An open `.part`, and the byte offsets of its rows and events."""
+    """Where a second process writes: an open `.part`, and the byte offsets of its rows and events."""
 
     file: int
     rows_at: int
@@ -54,13 +54,14 @@ class Place(NamedTuple):
 
 
 class RecordingWriter:
-    """A recording in progress, the `.part` of the file `final`. The control loop calls `append` and never HDF5.
+    """Writes a recording in progress: the `.part` of the file `final`. The control loop calls `append` and never HDF5.
 
-    `length` rows are reserved on disk before anything moves. Rows are given to the operating system in batches of
-    `batch` rows, so a killed process loses at most one batch. A thread makes them durable four times a second, so a
-    power cut loses little more. The file is locked until it is closed, so that no other hil removes it. path: of the
-    `.part`. final: of the finished file. moved: a sentence if both had to be put elsewhere. uid: unique to this
-    recording. Raises WrongUse if the disk cannot hold the run, NameTaken if another recording has its name.
+    Space for `length` rows is reserved on disk before anything moves. Rows are given to the operating system in batches
+    of `batch` rows, so a killed process loses at most one batch. A thread flushes the file to the disk four times a
+    second, so a power cut loses little more. The file is locked until it is closed, so that no other hil process
+    removes it. path: of the `.part`. final: path of the finished file. moved: a sentence that says where the recording
+    is, if its file was removed or replaced during the run. uid: unique identifier of the recording. Raises WrongUse if
+    the disk has too little space for the run, NameTaken if another recording has the name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
@@ -87,8 +88,8 @@ class RecordingWriter:
                 raise
 
     def _create(self, header: Header, length: int) -> None:
-        """Create the `.part` under a temporary name and rename it when complete, so that a kill leaves no incomplete
-        one.
+        """Create the `.part` under a temporary name and rename it when it is complete, so that a kill leaves no
+        incomplete `.part`.
         """
         self._file, temporary = new_temporary(self.path)
         try:
@@ -109,13 +110,15 @@ class RecordingWriter:
 
     @property
     def place(self) -> Place:
-        """Return where another process is to write the rows, until `resume`."""
+        """Return where a second process writes the rows, until `resume` is called."""
         if self._file is None:
             raise ValueError(f"{self.path} is closed")
         return Place(self._file, self._offset, self._event_offset)
 
     def resume(self, ring: Ring) -> None:
-        """Continue after what was taken from `ring`, with the rows and events that wait there. Raises Untrustworthy."""
+        """Continue to write in this process: first the rows and events that still wait in `ring`. Raises
+        Untrustworthy.
+        """
         self._rows, self._events = ring.taken, ring.events_taken
         while rows := ring.waiting():
             self._extend(rows)
@@ -137,7 +140,7 @@ class RecordingWriter:
         return self._rows + len(self._pending)
 
     def _reserve(self, length: int) -> None:
-        """Write the end mark over every row, so that a full disk shows now, before the motor is on."""
+        """Write the end mark into all rows, so that a disk without enough space is noticed before the motor is on."""
         blank = packed([Row(END_MARK)]) * min(BLOCK, length)
         for start in range(0, length, BLOCK):
             self._write(blank[: (length - start) * LIVE.itemsize], self._offset + start * LIVE.itemsize)
@@ -180,13 +183,13 @@ class RecordingWriter:
         self._rows += len(data) // LIVE.itemsize
 
     def flush(self) -> None:
-        """Give the pending rows to the operating system. Raises Untrustworthy if the disk fails."""
+        """Give all rows so far to the operating system. Raises Untrustworthy if the disk fails."""
         if self._pending:
             self._extend(packed(self._pending))
             self._pending.clear()
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Add an event at `time` s. If the table is full it is dropped: samples matter more.
+        """Add an event at `time` s. If the table of events is full, the event is dropped: samples are more important.
 
         Raises Untrustworthy if the disk fails.
         """
@@ -198,9 +201,10 @@ class RecordingWriter:
         self._events += 1
 
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
-        """Write the final file, remove the `.part` and return the file's path. If that fails, the `.part` stays.
+        """Write the final file, remove the `.part`, and return the path of the final file. If that fails, the `.part`
+        is kept.
 
-        force: replace a file of that name. Raises WrongUse, and Untrustworthy if the disk fails.
+        force: replace an existing file. Raises WrongUse, and Untrustworthy if the disk fails.
         """
         self.flush()
         self._stop_syncing()
@@ -214,7 +218,7 @@ class RecordingWriter:
         return self.final
 
     def _rescue(self, *, force: bool) -> None:
-        """Copy the `.part`, which has lost its name, to a new name, and finish the copy."""
+        """Copy the `.part`, whose name was removed, to a new name, and make the final file from the copy."""
         assert self._file is not None  # noqa: S101 - the caller has looked
         gone = self.path
         copy, self.path = rescue(self._file, self.final)
@@ -251,7 +255,9 @@ def _taken(path: Path) -> NameTaken:
 
 
 def _fill_part(path: Path, uid: str, header: Header, length: int) -> tuple[int, int]:
-    """Turn the locked file into a `.part` without rows. Return the byte offsets of the rows and of the events."""
+    """Write the header and the empty tables of a `.part` into the locked file. Return the byte offsets of the rows and
+    of the events.
+    """
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
         _write_header(file, uid, header)
         file.attrs.update(complete=False, end_reason="")
@@ -301,10 +307,10 @@ def _software() -> dict[str, str]:
 
 
 def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: bool = False) -> None:
-    """Write a complete recording at once, for data that was not recorded by hil.
+    """Write a complete recording at once, for data that hil did not record.
 
-    channels: (n,) arrays in SI, named as in CHANNELS; missing channels are NaN. force: replace a file of that name.
-    Raises WrongUse.
+    channels: arrays (n,) in SI, by the names in CHANNELS; a missing channel is stored as NaN. force: replace an
+    existing file. Raises WrongUse.
     """
     length = len(channels["time"])
     rows = np.full(length, np.array(Row(0), dtype=ROW))

@@ -1,7 +1,7 @@
 """The process that writes the rows of a run in real time, so that the control loop never waits for the disk.
 
-It takes them from a `Ring` until its standard input ends, because the recorder closed it or died. Then it writes what
-is still in the ring and, if the recorder died, adds the event that says so.
+The process takes rows from a `Ring` until its standard input ends, because the recorder has closed it or has died. Then
+the process writes all rows that are still in the ring. If the recorder has died, it adds an event that says so.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ def write(ring: Ring, file: int, recorder: int) -> None:
 
 
 def finish(ring: Ring, file: int) -> None:
-    """Write what the recorder left in `ring`, durably, and remove its name. Raises OSError."""
+    """Write the rows and events that are still in `ring`, flush them to the disk, and remove the ring's name. Raises
+    OSError.
+    """
     drain(ring, file)
     if not ring.closed:
         _note_death(ring, file)
@@ -75,7 +77,7 @@ def _sync(ring: Ring, file: int, ended: threading.Event) -> None:
 
 
 def _note_death(ring: Ring, file: int) -> None:
-    """Write the last event, at the time of the last row."""
+    """Write the event that the recorder has died, with the time of the last row."""
     at = ring.shape.rows_at + (ring.taken - 1) * ring.shape.row + 8
     time = os.pread(file, 8, at) if ring.taken else struct.pack("<d", 0.0)
     event = time + ring.event(-1)[8:-4]
