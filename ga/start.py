@@ -1,12 +1,12 @@
-"""The start of a search: a cube around the least-squares solution that almost surely holds the optimum.
+"""Find the start of a search: a cube around the least-squares solution that almost surely contains the optimum.
 
-The least-squares solution of the data, moved towards the least absolute error by two steps of iterated weights
-(Schlossmacher 1973), is its centre. Its half-width is four standard errors of the estimator that is sought, and as much
-as the last step still moved, in coordinates in which the columns are orthogonal. The standard error is 1/(2 f sqrt(n))
-for a density f of the residuals at zero (Koenker 2005, section 3.2), which is read off the share of small ones; it is
-never taken to be less than what normal residuals have, pi/2 of their mean size over sqrt(n).
+The centre of the cube is the least-squares solution, moved towards the least absolute error by two steps of iterated
+weights (Schlossmacher 1973). In coordinates in which the columns are orthogonal, half the cube's width is four standard
+errors of the optimum plus the length of the last step. The standard error is 1/(2 f sqrt(n)) with the density f of the
+residuals at zero (Koenker 2005, section 3.2), which is estimated from the fraction of small residuals. The standard
+error is assumed to be at least that of normal residuals: pi/2 of their mean size over sqrt(n).
 
-It is a place to begin at and no more: a search that begins there may go anywhere within its bounds.
+The search only begins in the cube, and may then go anywhere within its bounds.
 """
 
 from __future__ import annotations
@@ -25,26 +25,30 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _ERRORS: Final = 4.0
-"""Standard errors of half the cube's width."""
+"""Half the cube's width in standard errors."""
 
 _NEAR: Final = 5.0
-"""Residuals that count as small, in those that are taken to be of one size: half of the mean."""
+"""The limit up to which a residual is small, in multiples of the smallest size used in the weights: half of the mean
+residual.
+"""
 
 _FEWEST: Final = 0.02
-"""The least share of small residuals that is believed: without any, the cube would have no end."""
+"""The smallest fraction of small residuals that is used: a fraction of zero would make the cube infinite."""
 
 _PIVOT: Final = 1e-10
-"""A column of which only this part, squared, is its own is taken to be a combination of others."""
+"""The fraction of a column's squared length, independent of the other columns, below which the column is treated as a
+combination of these.
+"""
 
 _SMOOTH: Final = 0.1
-"""Residuals below this part of the root mean square weigh no more than one of that size."""
+"""The smallest size of a residual that is used in the weights, as a fraction of the root mean square residual."""
 
 
 class Start(NamedTuple):
-    """The cube |forward (genes - centre)| <= reach in every coordinate.
+    """The region in which a search begins: the cube |forward (genes - centre)| <= reach in every coordinate.
 
-    centre (p,), SI. forward and backward (p, p), upper triangular and each other's inverse: the columns times
-    `backward` are orthogonal, of mean square 1. reach: N m.
+    centre (p,): SI. forward and backward (p, p): upper triangular, each the inverse of the other; the columns times
+    `backward` are orthogonal, of mean square 1. reach: half the cube's width, N m.
     """
 
     centre: Vector
@@ -54,10 +58,10 @@ class Start(NamedTuple):
 
 
 def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
-    """The cube for columns (n, p) and torque (n,), N m.
+    """Return the cube for columns (n, p) and torque (n,), N m.
 
-    None where the data do not determine all parameters, or it would not lie well within the bounds: its centre must be
-    inside, and it must be smaller than they are. Data that are not finite give None, too.
+    None if the data are not finite or do not determine all parameters, and if the cube does not fit into the bounds:
+    its centre must be inside, and the cube must be smaller than the bounds.
     """
     p = columns.shape[1]
     work = _Work(np.zeros(p), *(np.zeros((p, p)) for _ in range(3)), *(np.zeros(p) for _ in range(2)))
@@ -69,7 +73,9 @@ def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
 
 
 class _Work(NamedTuple):
-    """The start in the making, and working space for the normal equations gram (p, p) step (p,) = pull (p,)."""
+    """Working space for a start: its centre and coordinates, and the normal equations gram (p, p) step (p,) = pull
+    (p,).
+    """
 
     centre: Vector
     forward: Matrix
@@ -80,14 +86,14 @@ class _Work(NamedTuple):
 
 
 def within(start: Start, bounds: Bounds) -> Start | None:
-    """The start, if its centre is inside the bounds and it is smaller than they are."""
+    """Return the start if its centre is inside the bounds and its cube is smaller than the bounds; else None."""
     extent = start.reach * np.abs(start.backward).sum(axis=1)
     inside = bool(np.all((start.centre > bounds.low) & (start.centre < bounds.high)))
     return start if inside and bool(np.all(2.0 * extent <= bounds.high - bounds.low)) else None
 
 
 def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
-    """Fill in centre and coordinates; returns the reach, 0 where there is none."""
+    """Fill in centre and coordinates of the start; return half the cube's width, 0 if there is no start."""
     n, p = columns.shape
     size, power, _ = _equations(columns, torque, work, np.inf)
     if not _factor(work, n) or not _solve(work):
@@ -117,8 +123,8 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
 def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """Fill in the normal equations of the residuals at the centre, each row weighted by one over its residual's size.
 
-    smooth: the least size that counts, infinite for equal weights. Returns the sum of the sizes, N m, that of their
-    squares, and how many are small.
+    smooth: the smallest size used in the weights, N m; infinite for equal weights. Returns the sum of the sizes, N m,
+    the sum of their squares, and the number of small residuals.
     """
     left = torque.copy()
     for k, column in enumerate(columns.T):
@@ -139,7 +145,9 @@ def _sum(terms: Vector) -> float:
 
 
 def _factor(work: _Work, count: int) -> bool:
-    """The triangle whose square is gram / count, and its inverse; False where a column is a combination of others."""
+    """Fill in the triangular matrix whose square is gram / count, and its inverse; return False if a column is a
+    combination of others.
+    """
     gram, forward, backward = work.gram, work.forward, work.backward
     p = len(gram)
     for k in range(p):
@@ -165,7 +173,7 @@ def _factor(work: _Work, count: int) -> bool:
 
 
 def _solve(work: _Work) -> bool:
-    """Solve the normal equations by elimination in place; False where a column is a combination of others."""
+    """Solve the normal equations in place, by elimination; return False if a column is a combination of others."""
     gram, pull, step = work.gram, work.pull, work.step
     p = len(gram)
     for k in range(p):

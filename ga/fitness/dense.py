@@ -1,12 +1,13 @@
-"""The dense engine: every sample is looked at, side by side in the vector units.
+"""The dense engine: the residual of every sample is computed, many at a time in the vector units.
 
 The sum is kept in 128 parallel parts whose order is fixed by the layout, not by the machine: the result is the same to
-the last bit everywhere.
+the last bit on every machine.
 
-Where a search begins in a small cube that all but surely holds the optimum, it seldom leaves it, and in it most
-residuals keep their sign. `collapse` puts those into p + 1 sums, which leaves a share of the samples that shrinks with
-the cube: one sixth of 2,500, one in 200 of a million. Outside of the cube the same sums bound the fitness from below
-(Portnoy and Koenker 1997); where that is not enough to turn a chromosome down, every sample is looked at after all.
+A search that begins in a small cube, which almost surely contains the optimum, seldom leaves the cube, and in the cube
+most residuals keep their sign. `collapse` replaces these residuals by p + 1 sums. The fraction of the samples that
+remains shrinks with the cube: one sixth of 2,500, one in 200 of a million. Outside the cube the same sums bound the
+fitness from below (Portnoy and Koenker 1997); if the bound is not enough to reject a chromosome, every sample is
+computed.
 """
 
 from __future__ import annotations
@@ -24,26 +25,30 @@ if TYPE_CHECKING:
     from ga.start import Start
 
 LANES = 128
-"""Samples in a block: the number of partial sums."""
+"""The number of samples in a block, which is the number of partial sums."""
 
 ROUNDING = 1e-11
-"""How far beyond a limit, relative to its terms, a bound must be: a thousand times what rounding makes of both."""
+"""The amount by which a lower bound must exceed a limit, relative to its terms: a thousand times the rounding error of
+both.
+"""
 
 _AT_ONCE = LANES << 12
-"""Rows that are collapsed at once: their working space is some tens of MB."""
+"""The number of rows that are collapsed at a time: the working space for them is some tens of MB."""
 
 WIDER = 1.5
-"""Half-width of the cube that is collapsed over that of the cube begun in: children overshoot their parents."""
+"""The ratio of the width of the collapsed cube to that of the cube in which the search begins: children overshoot their
+parents.
+"""
 
 
 class Samples(NamedTuple):
-    """Columns and torque of one recording, ready to be evaluated.
+    """Columns and torque of one recording, in the form in which the fitness is computed.
 
-    blocks: (ceil(m/128), p + 1, 128), the residual at the origin, then the columns, of the m rows to be looked at,
-    padded with zero rows, which add nothing to a sum. length: n. floor: N m, the least fitness that relative
-    comparisons divide by. scratch: (2, 128) and place: (p,), working space.
-    settled: (p + 1,), the same of the rows that are not looked at, each with the sign of its residual, summed up, where
-    |forward (genes - origin)| <= reach in every coordinate. columns (n, p), torque (n,): all rows, for elsewhere.
+    blocks (ceil(m/128), p + 1, 128): the m rows that are computed one by one: the residual at the origin, then the
+    columns, padded with zero rows, which add nothing to a sum. length: n. floor: the smallest divisor, N m, in relative
+    comparisons of fitness. scratch (2, 128) and place (p,): working space. settled (p + 1,): the sums of the other
+    rows, each multiplied by the sign of its residual; they are valid in the cube |forward (genes - origin)| <= reach.
+    columns (n, p), torque (n,): all rows, for chromosomes outside the cube.
     """
 
     blocks: NDArray[np.float64]
@@ -60,7 +65,9 @@ class Samples(NamedTuple):
 
 
 def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
-    """The samples of columns (n, p) and torque (n,), N m. Raises ValueError as `check` does."""
+    """Return the samples of columns (n, p) and torque (n,), N m, with no rows collapsed. Raises ValueError as `check`
+    does.
+    """
     check(columns, torque)
     p = columns.shape[1]
     return Samples(
@@ -79,7 +86,11 @@ def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
 
 
 def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: Start) -> Samples:
-    """The samples of columns (n, p) and torque (n,), N m, collapsed around a start. Raises ValueError as `check`."""
+    """Return the samples of columns (n, p) and torque (n,), N m. Rows whose residuals keep their sign around the start
+    are replaced by sums.
+
+    Raises ValueError as `check` does.
+    """
     check(columns, torque)
     p, reach = columns.shape[1], WIDER * start.reach
     blocks, settled = [], np.zeros(p + 1)
@@ -108,7 +119,9 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
 def _opened(
     columns: NDArray[np.float64], torque: NDArray[np.float64], start: Start, reach: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the residuals (n,) at the start, N m, and which of them may change sign within the cube."""
+    """Return the residuals (n,) at the start, N m, and which of them may change sign within the cube. reach: half the
+    cube's width, N m.
+    """
     residual, speed = torque.copy(), np.zeros(len(torque))
     for k in range(columns.shape[1]):
         residual -= columns[:, k] * start.centre[k]
@@ -120,7 +133,7 @@ def _opened(
 
 
 def _blocks(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the blocks of columns (m, p) and torque (m,), as `Samples` has them."""
+    """Return columns (m, p) and torque (m,) as the field `blocks` of `Samples`."""
     return np.ascontiguousarray(_in_lanes(np.vstack([torque, columns.T])).transpose(1, 0, 2))
 
 
@@ -139,7 +152,7 @@ def shared(samples: Samples) -> Samples:
 
 @compiled_within
 def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> float:
-    """Equation 5 for one chromosome (p,), N m; infinite, perhaps, where it exceeds the limit."""
+    """Return equation 5 for one chromosome (p,), N m; the result may be infinite if the error exceeds the limit."""
     for k in range(genes.size):
         samples.place[k] = genes[k] - samples.origin[k]
     error = abs(_settled(samples)) + _open_error(samples)
@@ -152,7 +165,7 @@ def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> f
 
 @compiled_no_refcount
 def _open_error(samples: Samples) -> float:
-    """The sum of the absolute residuals of the rows that are looked at."""
+    """Return the sum of the absolute residuals of the rows that are computed one by one."""
     # plain indices and scalars: an iterated block or an indexed gene in the inner loop keeps it from the vector units
     total, residual, place = samples.scratch[0], samples.scratch[1], samples.place
     for j in range(LANES):
@@ -185,7 +198,7 @@ def _settled(samples: Samples) -> float:
 
 @compiled_within
 def _folded(total: NDArray[np.float64]) -> float:
-    """The sum of 128 numbers, which it overwrites."""
+    """Return the sum of 128 numbers, which are overwritten."""
     width = LANES // 2
     while width >= 8:
         for j in range(width):
@@ -210,7 +223,7 @@ def _is_near(samples: Samples) -> bool:
 
 @compiled_within
 def _plain_error(samples: Samples, genes: NDArray[np.float64]) -> float:
-    """Equation 5 row by row."""
+    """Return equation 5 for one chromosome, N m, computed row by row from all rows."""
     total = part = 0.0
     for i in range(samples.length):
         residual = samples.torque[i]
@@ -224,9 +237,10 @@ def _plain_error(samples: Samples, genes: NDArray[np.float64]) -> float:
 
 @compiled_no_refcount
 def dense_tangent(samples: Samples, genes: NDArray[np.float64], slope: NDArray[np.float64]) -> float:
-    """A plane below the fitness: its height, N m, at a chromosome (p,), and its slope (p,), written to `slope`.
+    """Return the height, N m, at a chromosome (p,) of a plane below the fitness; its slope (p,) is written to `slope`.
 
-    It touches the fitness there, unless the samples are collapsed and the chromosome is out of their cube.
+    The plane touches the fitness at the chromosome, unless the samples are collapsed and the chromosome is outside
+    their cube.
     """
     place = samples.place
     for k in range(genes.size):

@@ -1,1 +1,1 @@
-"""The exact minimum of the fitness: least absolute deviations."""
+"""Find the exact minimum of the fitness: least absolute deviations."""

@@ -1,6 +1,7 @@
-"""The exact minimum of the fitness: the least-absolute-deviations problem, solved to a vertex and proven optimal.
+"""Find the exact minimum of the fitness: the least-absolute-deviations problem, solved to a vertex and proven optimal.
 
-The search is compared with it: the gap between the two is the optimiser's error, the rest is the data's.
+The result of the search is compared with this minimum: the difference is the optimiser gap. The remaining error is due
+to the data.
 """
 
 from __future__ import annotations
@@ -18,32 +19,38 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _RANK: Final = 1e-10
-"""A column adds nothing if all but this fraction of its length is a combination of others."""
+"""The smallest independent fraction of a column's length: a column of which less is independent of the others is
+ignored.
+"""
 
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
-"""Perturbations relative to the mean torque, tried in turn until one gives a certificate; the second already resolves
-ties.
+"""Perturbations of the torque, relative to the mean torque, tried in turn until one gives a certificate; the second
+already resolves ties.
 """
 
 _ATTEMPTS: Final = (*((amount, False) for amount in _PERTURBATIONS), *((amount, True) for amount in _PERTURBATIONS))
-"""The perturbations, each with whether a descent that stalls among the rows near an estimate is repeated among more
-rows, which costs more than another perturbation.
+"""The attempts to solve a problem: the perturbation, and whether a stalled descent is repeated with more rows.
+
+The repetition concerns a descent that used only the rows near an estimate; it takes longer than another perturbation.
 """
 
 _DIRECT: Final = 6000
-"""The number of rows up to which the descent takes all of them; above, a subsample brackets it first."""
+"""The largest number of rows with which a descent begins; for more rows, an estimate from a subsample selects some of
+them first.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The least mean absolute error and where it is.
+    """The least mean absolute error, and the chromosome that has it.
 
     genes: (p,), SI; a parameter whose column adds nothing (zero, or a combination of others) is zero.
-    fitness: N m, the mean absolute error there.
-    certificate: the proof. Signs s in -1 ... 1, the sign of the residual wherever it is not zero, make the subgradient
-        columns^T s; the certificate is its largest component as a part of sum |column|. Zero to rounding is optimal.
-    unique: whether no other chromosome is as good; False also where that could not be proven.
-    floor: N m, the least fitness that `relative_gap` divides by.
+    fitness: the mean absolute error, N m.
+    certificate: the proof that the error is the least. With signs s in -1 ... 1, equal to the sign of every residual
+        that is not zero, the subgradient is columns^T s. The certificate is the largest component of the subgradient,
+        divided by sum |column|. If it is zero to rounding, the genes are optimal.
+    unique: whether no other chromosome is as good; False also if that could not be proven.
+    floor: the smallest divisor of `relative_gap`, N m.
     """
 
     genes: NDArray[np.float64]
@@ -53,7 +60,9 @@ class Optimum:
     floor: float
 
     def relative_gap(self, fitness: float) -> float:
-        """Return how much worse a fitness, N m, is than the optimum, relative to it; both from `fitness_of`."""
+        """Return how much worse `fitness`, N m, is than the optimum, relative to the optimum. fitness: from
+        `fitness_of`.
+        """
         return (fitness - self.fitness) / max(self.fitness, self.floor)
 
 
@@ -63,8 +72,8 @@ def least_absolute_deviations(
     """Return the chromosome of least mean absolute error for columns (n, p) and torque (n,), N m, without bounds.
 
     Any n, any p up to about 8; rows may be tied or repeated, columns zero or collinear, n less than p. near: genes
-    (p,), SI, that are probably close to it: the closer, the faster it is found. Raises ValueError if the data are not
-    finite, not of equal length or empty, RuntimeError if no certificate could be reached.
+    (p,), SI, that are probably close to the optimum: the closer, the faster the solution. Raises ValueError if the data
+    are not finite, not of equal length or empty, RuntimeError if no certificate could be reached.
     """
     check(columns, torque)
     if (len(torque) <= MANY or near is not None) and (found := solve_few(columns, torque, near)) is not None:
@@ -107,13 +116,13 @@ def not_negative(
     positive: tuple[int, ...],
     near: NDArray[np.float64] | None = None,
 ) -> Optimum:
-    """Return the chromosome of least mean absolute error of which the genes `positive` are zero or more.
+    """Return the chromosome of least mean absolute error in which no gene with an index in `positive` is negative.
 
-    The error is convex, so it falls on the way from the bounded optimum to the unbounded one. If the latter violates
-    some bounds, one of the genes that it has below zero is zero in the bounded optimum. Each of them is left out in
-    turn, until none is below zero. Genes that are zero in `near` are tried as zeros first. If columns are dependent and
-    rows few, the best may be missed (5 of 47,000 random problems of up to 13 rows). unique and certificate: given the
-    genes that are zero. Other arguments and errors: see `least_absolute_deviations`.
+    The error is convex, so it falls on the way from the bounded optimum to the unbounded one. If the unbounded optimum
+    has negative genes, at least one of these genes is zero in the bounded optimum. Each of them is set to zero in turn,
+    until no gene is negative. Genes that are zero in `near` are tried as zeros first. If columns are dependent and rows
+    few, the best may be missed (5 of 47,000 random problems of up to 13 rows). The fields `unique` and `certificate` of
+    the result assume that the genes at zero are zero. Other arguments and errors: see `least_absolute_deviations`.
     """
     if near is not None and (held := _as_nearby(columns, torque, positive, near)) is not None:
         return held
@@ -137,9 +146,10 @@ def not_negative(
 def _as_nearby(
     columns: NDArray[np.float64], torque: NDArray[np.float64], positive: tuple[int, ...], near: NDArray[np.float64]
 ) -> Optimum | None:
-    """Return the optimum with the genes at zero that are zero in `near`, if it is the bounded optimum; else None.
+    """Return the optimum with those genes at zero that are zero in `near`, if it is the bounded optimum; else None.
 
-    It is if the error does not fall when one of these genes rises, as the multipliers of the active rows show.
+    It is the bounded optimum if the error does not fall when one of these genes rises, which the multipliers of the
+    active rows show.
     """
     zero = [k for k in positive if near[k] == 0.0]
     if not zero:
@@ -166,7 +176,7 @@ def _as_nearby(
 def _without(
     columns: NDArray[np.float64], torque: NDArray[np.float64], zero: list[int], near: NDArray[np.float64]
 ) -> Optimum:
-    """Return the optimum of the chromosomes in which some genes are zero."""
+    """Return the optimum among the chromosomes in which the genes with the indices `zero` are zero."""
     kept = np.setdiff1d(np.arange(columns.shape[1]), zero)
     genes = np.zeros(columns.shape[1])
     if not kept.size:
@@ -177,9 +187,9 @@ def _without(
 
 
 def fitness_of(columns: NDArray[np.float64], torque: NDArray[np.float64], genes: NDArray[np.float64]) -> float:
-    """Return the mean absolute error, N m, of genes (p,), summed as that of the optimum is.
+    """Return the mean absolute error, N m, of genes (p,), summed in the same order as that of the optimum.
 
-    Other sums differ from it by rounding, which is a large part of the optimum where the data are free of noise.
+    Sums in another order differ by rounding, which is a large part of the optimum if the data are free of noise.
     """
     return float(np.mean(np.abs(torque - _times(columns, genes))))
 
@@ -187,8 +197,9 @@ def fitness_of(columns: NDArray[np.float64], torque: NDArray[np.float64], genes:
 def _signs(
     rows: NDArray[np.float64], torque: NDArray[np.float64], moved: NDArray[np.float64], basis: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the sign (n,) of each residual; if it is zero to rounding, of the perturbed torque's residual; 0 in the
-    basis.
+    """Return the sign (n,) of each residual, 0 for rows of the basis.
+
+    If a residual is zero to rounding, its sign is that of the residual with the perturbed torque `moved`.
     """
     inverse = np.linalg.inv(rows[basis])
     point, extent = inverse @ torque[basis], np.abs(inverse) @ np.abs(torque[basis])
@@ -215,9 +226,9 @@ def _certify(
     scale: NDArray[np.float64],
     extent: NDArray[np.float64],
 ) -> Optimum:
-    """The optimum with its proof, from the signs (n,) of the residuals outside the basis.
+    """Return the optimum with its proof, from the signs (n,) of the residuals outside the basis.
 
-    scale and extent: the largest and the sum of each column's sizes (p,), 1 where it is all zero.
+    scale and extent (p,): the largest and the sum of the absolute values of each column, 1 for a column of zeros.
     """
     full = len(basis) == columns.shape[1]
     met, rest = (columns[basis] / scale).T, _weighted_sum(columns, signs) / scale
@@ -237,8 +248,8 @@ def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[N
     """Return rows (n, r) of independent columns made orthogonal, each of length sqrt(n), and the indices of these
     columns.
 
-    scale: the largest value in each column (p,), which keeps squares in range. Clearly distinct columns need one
-    Cholesky decomposition, others are treated one by one.
+    scale (p,): the largest absolute value of each column, which keeps squares in range. Clearly distinct columns need
+    one Cholesky decomposition, others are treated one by one.
     """
     scaled = columns / scale
     gram = scaled.T @ scaled
@@ -257,9 +268,9 @@ def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[N
 def _orthogonal(
     columns: NDArray[np.float64], scale: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Do what `_whiten` does by Gram-Schmidt with column exchange, each column cleaned twice.
+    """Do the same as `_whiten` by Gram-Schmidt with column exchange, each column orthogonalised twice.
 
-    The rank is revealed by what is left of a column.
+    The rank follows from the length of a column that remains after this.
     """
     work = np.divide(columns.T, scale[:, None], order="C")
     lengths = np.sqrt(np.einsum("kn,kn->k", work, work))
@@ -287,7 +298,7 @@ def _solve(
 ) -> NDArray[np.int64] | None:
     """Return the optimal basis of all rows (n, r), searched from the point start (r,); None if the descent stalls.
 
-    patient: if it stalls among a part of the rows, take more of them, up to all.
+    patient: whether a descent that stalls with a part of the rows is repeated with more rows, up to all.
     """
     n, r = rows.shape
     if n <= _DIRECT:
@@ -306,7 +317,10 @@ def _solve(
 def _bracketed(
     rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int, *, patient: bool
 ) -> NDArray[np.int64] | None:
-    """Return the optimal basis, searched around the centre (r,), an estimate from `count` rows, in growing regions."""
+    """Return the optimal basis, searched with the rows that can change sign around the centre (r,), in growing regions.
+
+    centre: an estimate of the optimum from `count` rows. patient: see `_solve`.
+    """
     r = len(centre)
     residual = torque - _times(rows, centre)
     reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
@@ -332,21 +346,21 @@ def _bracketed(
 
 
 def _is_vertex(basis: NDArray[np.float64]) -> bool:
-    """Return whether the rows (r, r) of a basis are independent; the few undecided rows of a bracket may not be."""
+    """Return whether the rows (r, r) of a basis are independent; the few rows used in `_bracketed` may not be."""
     return bool(np.linalg.cond(basis) < 1.0 / _RANK)
 
 
 def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rows (n, p) times a vector (p,), in one thread.
+    """Return the product (n,) of rows (n, p) and a vector (p,), computed in one thread.
 
-    For so few columns a linear-algebra library's threads cost more than they bring, and on a busy machine many times
-    more.
+    For so few columns the threads of a linear-algebra library take more time than they save, and on a busy machine many
+    times more.
     """
     return np.asarray(np.einsum("nk,k->n", rows, vector))
 
 
 def _weighted_sum(rows: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sum (p,) of rows (n, p), each times its weight (n,), in one thread."""
+    """Return the sum (p,) of rows (n, p), each multiplied by its weight (n,), computed in one thread."""
     return np.asarray(np.einsum("nk,n->k", rows, weights))
 
 

@@ -1,7 +1,7 @@
-"""The exact minimum of the usual case in a few compiled steps: distinct columns, nothing tied, not too many rows.
+"""Find the exact minimum of the usual case in a few compiled steps: distinct columns, no ties, not too many rows.
 
-A search and a model selection solve ten thousand such problems, most of some hundred rows, where the calls of dozens of
-array functions cost more than what they compute. All other cases are left to `ga.lad.exact`.
+A search and a model selection solve ten thousand such problems, most of some hundred rows, for which the calls of
+dozens of array functions take longer than the computation itself. `ga.lad.exact` solves all other cases.
 """
 
 from __future__ import annotations
@@ -15,33 +15,40 @@ from ga.compiled import compiled_no_refcount, compiled_within
 from ga.lad.simplex import OPTIMAL, Basis, Matrix, Room, Vector, invert, room_for, step_down
 
 DISTINCT: Final = 1e-3
-"""A column of which this part of its length is its own, and more, needs no cleaning from the others."""
+"""The fraction of a column's length, independent of the other columns, above which orthogonalisation once is precise
+enough.
+"""
 
 ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
 PROVEN: Final = 1e-9
 ALONE: Final = 1.0 - 1e-9
-"""The certificate up to which an optimum is proven, and the multipliers below which it is the only one."""
+"""PROVEN: the certificate below which an optimum is proven. ALONE: the multipliers below which the optimum is
+unique.
+"""
 
 MANY: Final = 40_000
-"""Rows up to which about `_SOME` of them show well enough where the optimum of all is."""
+"""The largest number of rows for which about `_SOME` of them give a good enough estimate of the optimum of all."""
 
 _SOME: Final = 2000
 _ALL: Final = 4000
-"""Rows up to which a descent over all of them costs less than to find out which ones decide."""
+"""The largest number of rows for which a descent over all rows takes less time than to select the rows that matter."""
 
 _FEWEST: Final = 1000
-"""Rows up to which it does so even with genes that are close."""
+"""The largest number of rows for which a descent over all rows takes less time even if genes close to the optimum are
+given.
+"""
 
 _SPREAD: Final = 4.0
-"""How far from genes that are thought close the optimum is looked for, in about standard errors of it."""
+"""The distance from given genes within which the optimum is searched, in approximate standard errors of the optimum."""
 
 
 def solve_few(
     columns: NDArray[np.float64], torque: NDArray[np.float64], near: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], float, bool] | None:
-    """Return genes (p,), certificate and whether they are unique, as `ga.lad.exact.Optimum` has them.
+    """Return the genes (p,) of the optimum, its certificate and whether it is unique: see `ga.lad.exact.Optimum`.
 
-    columns (n, p) and torque (n,), finite, and near (p,): as there. None where the case is not the usual one.
+    columns (n, p), torque (n,) and near (p,): see `ga.lad.exact.least_absolute_deviations`; all finite. None if the
+    problem is not the usual case, so that another solver is needed.
     """
     n, p = columns.shape
     genes, scale, extent, start, needed, sums = np.zeros((6, p))
@@ -72,15 +79,18 @@ def solve_few(
 
 
 def _sample(n: int) -> Basis:
-    """One row at random out of every so many: a fixed stride could beat with a periodic excitation."""
+    """Return the indices of about `_SOME` of n rows: one at random out of every few, because a fixed stride could beat
+    with a periodic excitation.
+    """
     step = n // _SOME
     return np.arange(n // step) * step + np.random.default_rng(1).integers(0, step, n // step)
 
 
 def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tuple[Basis, Room] | None:
-    """Return the optimal basis (r,), looked for among the rows (r, n) that decide near the start (r,); None: not there.
+    """Return the optimal basis (r,), searched with those of the rows (r, n) that may change sign near the start (r,).
 
-    spread: in about standard errors of an estimate from all rows, how far it may be away.
+    spread: the distance from the start within which the optimum is searched, in approximate standard errors of an
+    estimate from all rows. None if the optimum is not within this distance.
     """
     r, n = rows.shape
     pull, reach, open_rows, near = np.zeros(r), np.inf, None, rows
@@ -100,10 +110,11 @@ def _descended(rows: Matrix, target: Vector, start: Vector, spread: float) -> tu
 def settle(  # noqa: PLR0917 - compiled functions take their parts by position
     rows: Matrix, target: Vector, start: Vector, spread: float, residual: Vector, pull: Vector, open_rows: Basis
 ) -> tuple[float, int]:
-    """Fill in the rows whose residual may change its sign near the start, and add up those of the others by theirs.
+    """List the rows whose residual may change its sign near the start in `open_rows`, and add the others, by sign, to
+    `pull`.
 
-    Within the distance returned the others keep their sign (Cauchy-Schwarz): together they are one linear term. Also
-    returned: how many may change it. residual (n,): working space.
+    Within the returned distance of the start the other rows keep their sign (Cauchy-Schwarz): together they are one
+    linear term. The number of listed rows is returned too. residual (n,): working space.
     """
     r, n = rows.shape
     total, count = 0.0, 0
@@ -132,10 +143,11 @@ def settle(  # noqa: PLR0917 - compiled functions take their parts by position
 def measure(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: Matrix, torque: Vector, scale: Vector, extent: Vector, scaled: Matrix, target: Vector, gram: Matrix
 ) -> float:
-    """Fill in the largest and the sum of each column's sizes (p,), the scaled columns, the torque of size 1, products.
+    """Fill in the largest (`scale`) and the sum (`extent`) of the absolute values of each column (p,), and scaled data.
 
-    Arrays are passed one by one: a tuple of many takes several times as long to compile. Returns the mean size of the
-    torque; 0 where it or a column is zero.
+    The scaled data are columns of largest value 1, the torque (`target`) of mean size 1, and the products of the
+    columns (`gram`). Returns the mean absolute torque; 0 if the torque or a column is zero. Arrays are passed one by
+    one, because a tuple of many takes several times as long to compile.
     """
     n, p = columns.shape
     size = 0.0
@@ -158,7 +170,10 @@ def measure(  # noqa: PLR0917 - compiled functions take their parts by position
 
 @compiled_no_refcount
 def factor(gram: Matrix, into: Matrix) -> bool:
-    """Do the Cholesky decomposition in place, and find what makes its triangle the identity; False if too alike."""
+    """Replace `gram` by its Cholesky triangle, and fill `into` with the inverse of the triangle's transpose.
+
+    Returns False if two columns are too similar.
+    """
     p = len(gram)
     for k in range(p):
         least = DISTINCT * DISTINCT * gram[k, k]
@@ -180,7 +195,10 @@ def factor(gram: Matrix, into: Matrix) -> bool:
 
 @compiled_no_refcount
 def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vector, start: Vector) -> None:  # noqa: PLR0917 - compiled functions take their parts by position
-    """Fill in the orthogonal columns (p, n) and the start: the scaled genes `near`, (p,), or least squares if empty."""
+    """Fill in the orthogonal columns `rows` (p, n) and the start of the descent.
+
+    The start is the scaled genes `near` (p,), or the least-squares solution if `near` is empty, in the new coordinates.
+    """
     p, n = rows.shape
     for i in range(n):
         value = 0.0 if near.size else target[i]
@@ -198,7 +216,9 @@ def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vecto
 def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by position
     scaled: Matrix, rows: Matrix, target: Vector, point: Vector, inverse: Matrix, basis: Basis, sums: Vector
 ) -> bool:
-    """Add up the scaled columns by the signs of the residuals outside the basis; False if one is zero to rounding."""
+    """Sum the scaled columns, multiplied by the signs of the residuals outside the basis; return False if a residual is
+    zero to rounding.
+    """
     p, n = rows.shape
     most, met = 0.0, _next_met(basis, 0, n)
     for k in range(p):
@@ -228,7 +248,7 @@ def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by posit
 
 @compiled_within
 def _next_met(basis: Basis, first: int, n: int) -> int:
-    """The first of the rows of the basis that is not before another one; n where there is none."""
+    """Return the smallest row number in the basis that is at least `first`; n if there is none."""
     found = n
     for k in range(basis.size):
         if first <= basis[k] < found:
@@ -248,7 +268,9 @@ def conclude(  # noqa: PLR0917 - compiled functions take their parts by position
     met: Matrix,
     inverse: Matrix,
 ) -> float:
-    """Fill in the multipliers and the scaled genes, (p,), by the inverse of the basis; return the certificate."""
+    """Fill in the multipliers (`needed`) and the scaled genes (p,), from the inverse of the basis; return the
+    certificate.
+    """
     p, worst = basis.size, 0.0
     for j in range(p):
         for k in range(p):

@@ -1,10 +1,10 @@
-"""The exact optimum of data that do not fit in memory, by collapsing every row whose sign is settled.
+"""Find the exact optimum of data that do not fit in memory, by summing all rows whose residual keeps its sign.
 
-After Portnoy and Koenker, The Gaussian Hare and the Laplacian Tortoise (1997): a random subsample locates the
-optimum to within a few of its own standard errors. In a ball around it most residuals cannot change sign, and the
-sum of their absolute values is one linear function, which a single row holds. What is left is a problem of the same
-kind with a thousandth of the rows. If its optimum lies in the ball it is that of all the data, since both functions are
-convex and the same there; if not, the ball is widened around it and the data are gone through again.
+After Portnoy and Koenker, The Gaussian Hare and the Laplacian Tortoise (1997): a random subsample locates the optimum
+to within a few of its own standard errors. In a ball around this estimate most residuals cannot change sign, and the
+sum of their absolute values is one linear function, which a single row represents. The reduced problem is of the same
+kind with a thousandth of the rows. If its optimum lies in the ball, it is the optimum of all the data, because both
+functions are convex and equal in the ball; otherwise a larger ball around it is used, and the data are read again.
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ from ga.start import Start
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Blocks = Callable[[], Iterable[tuple[Matrix, Vector]]]
-"""Columns (m, p) and torque (m,), N m, in blocks of any number of rows, in order, as often as they are asked for."""
+"""A function that reads columns (m, p) and torque (m,), N m, in blocks of any number of rows, in order; it can be
+called many times.
+"""
 
 _SUBSAMPLE: Final = 200_000
 _SHARE: Final = 0.01
-"""The fraction of all rows that is drawn, if that is more: the subsample then costs as much as the rows it leaves."""
+"""_SUBSAMPLE: the number of rows that are drawn at random. _SHARE: the same as a fraction of all rows, used if that
+gives more rows: the subsample then takes as much time as the rows that remain after the reduction.
+"""
 
 _SIGMAS: Final = 6.0
 """The radius of the ball in standard errors of the subsample's optimum."""
@@ -40,10 +44,11 @@ _ATTEMPTS: Final = 6
 class Reduced:
     """The data reduced to about a thousandth of their rows: columns (m, p), torque (m,), N m.
 
-    The first row holds the sum of all rows with settled sign. length: the number of rows of the whole, over which means
-    are taken. optimum: of the whole. The mean absolute error of these rows times `share` equals the fitness of the
-    whole in a ball around the optimum, and is never larger elsewhere. start: the region in which a search of these rows
-    may begin, around the subsample's optimum; None if all rows are here, or a column is zero.
+    The first row is the sum of all rows whose residual keeps its sign. length: the number of rows of all data, over
+    which means are taken. optimum: the optimum of all data. The mean absolute error of the reduced rows times `share`
+    equals the fitness of all data in a ball around the optimum, and is never larger elsewhere. start: the region around
+    the subsample's optimum in which a search of the reduced rows may begin; None if no rows were removed, or a column
+    is zero.
     """
 
     columns: Matrix
@@ -54,13 +59,15 @@ class Reduced:
 
     @property
     def share(self) -> float:
-        """Return the number of rows here over that of the whole."""
+        """Return the number of reduced rows divided by the number of all rows."""
         return len(self.torque) / self.length
 
     def compared(self, genes: Vector) -> tuple[Optimum, float]:
-        """Return the optimum, and how much worse genes (p,) are, relative to it: the optimiser gap, never negative.
+        """Return the optimum, and the optimiser gap: how much worse genes (p,) are, relative to the optimum, never
+        negative.
 
-        Genes can only be better by rounding, like the distance to the proven optimum; they then become the optimum.
+        Genes can be better than the optimum only by rounding, as small as the distance to the proven optimum; then they
+        replace the optimum.
         """
         fitness = fitness_of(self.columns, self.torque, genes) * self.share
         better = fitness < self.optimum.fitness
@@ -69,11 +76,11 @@ class Reduced:
 
 
 def reduce(blocks: Blocks, rows: int, positive: tuple[int, ...] = ()) -> Reduced:
-    """Collapse `rows` rows in `blocks` around their least-absolute-deviations optimum, which is exact.
+    """Reduce `rows` rows in `blocks` around their exact least-absolute-deviations optimum.
 
-    positive: genes that are zero or more, in the optimum as in `not_negative`. The data are gone through twice, and
-    once more for every time the ball was too small. Raises ValueError as `least_absolute_deviations`, RuntimeError
-    where no ball held the optimum.
+    positive: indices of genes that must not be negative, see `not_negative`. The data are read twice, and once more
+    each time that the ball was too small. Raises ValueError as `least_absolute_deviations`, RuntimeError if no ball
+    contained the optimum.
     """
     if rows <= _SUBSAMPLE:
         parts = list(blocks())
@@ -96,7 +103,9 @@ def reduce(blocks: Blocks, rows: int, positive: tuple[int, ...] = ()) -> Reduced
 
 
 def _subsample(blocks: Blocks, rows: int) -> tuple[Matrix, Matrix, Vector, float]:
-    """Whitening (p, p) of the columns of all rows, some rows drawn at random, and 1e-6 of the mean |torque|, N m."""
+    """Return the whitening (p, p) of the columns of all rows, columns and torque of some rows drawn at random, and 1e-6
+    of the mean |torque|, N m.
+    """
     rng, share = np.random.default_rng(0), max(_SUBSAMPLE / rows, _SHARE)
     drawn: list[tuple[Matrix, Vector]] = []
     gram, size = np.zeros((1, 1)), 0.0
@@ -113,10 +122,11 @@ def _subsample(blocks: Blocks, rows: int) -> tuple[Matrix, Matrix, Vector, float
 
 
 def _radius(columns: Matrix, torque: Vector, genes: Vector) -> float:
-    """Return how far the optimum of all rows may be from that of the subsample, in whitened coordinates.
+    """Return the largest likely distance between the optimum of all rows and that of the subsample, in whitened
+    coordinates.
 
-    The variance of a median's estimate is 1/(4 f(0)^2 m) in each (Koenker 2005, section 4.2); rows were drawn at
-    random, so that what follows what in the recording does not matter.
+    The variance of a median's estimate is 1/(4 f(0)^2 m) in each coordinate (Koenker 2005, section 4.2). Rows were
+    drawn at random, so correlation in time does not matter.
     """
     residuals = np.abs(torque - columns @ genes)
     near = np.quantile(residuals, min(1.0, 4.0 / len(torque) ** (1.0 / 3.0)))
@@ -126,7 +136,7 @@ def _radius(columns: Matrix, torque: Vector, genes: Vector) -> float:
 
 
 def _start(genes: Vector, whitening: Matrix, radius: float) -> Start | None:
-    """The cube within the ball of some radius around `genes`."""
+    """Return the cube inside the ball of this radius around `genes`, as the region in which a search begins."""
     p = len(genes)
     if np.linalg.matrix_rank(whitening) < p:
         return None
@@ -136,7 +146,9 @@ def _start(genes: Vector, whitening: Matrix, radius: float) -> Start | None:
 
 
 def _collapse(blocks: Blocks, genes: Vector, whitening: Matrix, radius: float) -> tuple[Matrix, Vector]:
-    """Return the rows that may change sign within `radius` of `genes`, after one row that stands for all others."""
+    """Return the rows that may change sign within `radius` of `genes`, preceded by one row that represents all
+    others.
+    """
     settled = np.zeros(len(genes) + 1)
     kept: list[tuple[Matrix, Vector]] = []
     whitening = np.ascontiguousarray(whitening)
@@ -161,7 +173,9 @@ def settle(  # noqa: PLR0917 - compiled functions take their parts by position
     undecided: NDArray[np.bool_],
     settled: Vector,
 ) -> None:
-    """Mark the rows that may change sign; add the torque and the columns of the others, times their sign, up."""
+    """Mark the rows that may change sign in `undecided`; add torque and columns of the others, multiplied by their
+    sign, to `settled`.
+    """
     n, p = columns.shape
     for i in range(n):
         residual, length = torque[i], 0.0

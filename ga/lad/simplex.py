@@ -1,9 +1,10 @@
-"""The simplex descent behind ga.lad.exact: vertex to vertex of sum |torque - rows . z| - pull . z, always downhill.
+"""The simplex descent behind ga.lad.exact: from vertex to vertex of sum |torque - rows . z| - pull . z, always
+downhill.
 
-Rows are of full column rank and roughly orthonormal, r <= 8 or so. They stand column by column in arrays (r, n), as
-a processor computes several neighbours at once. A vertex is where r independent rows, the basis, have no residual. Each
-step removes one of them and follows the edge to the lowest point on it, a weighted median of the n places where a
-residual changes sign (Bloomfield and Steiger 1983, Barrodale and Roberts 1973).
+Rows are of full column rank and roughly orthonormal, r <= 8 or so. They are stored column by column in arrays (r, n),
+because a processor computes several neighbours at once. At a vertex r independent rows, the basis, have a residual of
+zero. Each step removes one row from the basis and follows the edge to the lowest point on the edge, a weighted median
+of the n points at which a residual changes sign (Bloomfield and Steiger 1983, Barrodale and Roberts 1973).
 """
 
 from __future__ import annotations
@@ -21,28 +22,33 @@ Basis: TypeAlias = NDArray[np.int64]
 
 OPTIMAL: Final = 0
 STALLED: Final = 1
-"""Many steps of no length one after another: more residuals than a basis vanish together. Perturb the torque."""
+"""The result of a descent with many steps of zero length in a row: more residuals than those of a basis are zero.
+Perturb the torque.
+"""
 UNBOUNDED: Final = 2
-"""The pull is stronger than all rows together: they are too few."""
+"""The result of a descent in which the pull is stronger than all rows together: there are too few rows."""
 
 _MOST: Final = 1000
-"""Steps, of which tens are usual: columns that are all but collinear can lead in circles by rounding."""
+"""The largest number of steps, of which tens are usual: with nearly collinear columns, rounding can make the steps go
+in circles.
+"""
 
 _SLACK: Final = 1e-11
-"""How far beyond 1 a multiplier may be by rounding."""
+"""The amount by which rounding may make a multiplier exceed 1."""
 
 _SPARSE: Final = 8
-"""One row in so many shows up to where on a ray the others need be looked at."""
+"""The step between rows that are examined first; they show how far along the ray the other rows must be examined."""
 
 _FLAT: Final = 1e-13
-"""A row that changes along the ray by no more than this, where rows are of the order 1, does not change; times the
-length of the direction, to which rounding grows where the rows of the basis are nearly dependent."""
+"""The change along the ray below which a row is treated as constant, for rows of the order 1. It is multiplied by the
+length of the direction, because rounding grows with this length if the rows of the basis are nearly dependent.
+"""
 
 
 class Room(NamedTuple):
     """Working space of a descent over n rows of r columns: vectors (n,) and (r,), matrices (r, r).
 
-    weight (n,) is that of each place, and before it the sign of each residual.
+    weight (n,): at first the sign of each residual, later the weight of each point at which a residual changes sign.
     """
 
     residual: Vector
@@ -78,7 +84,7 @@ def room_for(n: int, r: int) -> Room:
 def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[int, Basis]:
     """Find the optimal basis (r,) of rows (r, n) from the point start (r,).
 
-    Returns OPTIMAL, STALLED or UNBOUNDED, and the basis, which is of no use unless it is OPTIMAL.
+    Returns OPTIMAL, STALLED or UNBOUNDED, and the basis, which is valid only with OPTIMAL.
     """
     basis = np.zeros(len(rows), np.int64)
     return step_down(rows, torque, pull, start, basis, room_for(len(torque), len(rows))), basis
@@ -88,9 +94,10 @@ def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[
 def step_down(  # noqa: PLR0917 - compiled functions take their parts by position
     rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis, room: Room
 ) -> int:
-    """Fill in the basis (r,) as `descend` does, beginning with r artificial rows that meet at the start.
+    """Fill in the basis (r,) as `descend` does, beginning with r artificial rows that have no residual at the start.
 
-    These are the unit vectors, numbered -1, which weigh nothing: they leave first, one by one, until the first vertex.
+    The artificial rows are the unit vectors, have the number -1 and no weight in the sum: they leave the basis first,
+    one by one, until the first vertex is reached.
     """
     r, short_steps = basis.size, 0
     for i in range(r):
@@ -119,7 +126,9 @@ def step_down(  # noqa: PLR0917 - compiled functions take their parts by positio
 
 @compiled_within
 def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: Room) -> bool:
-    """Invert the rows of the basis and go to where they have no residual; False where they are dependent."""
+    """Invert the rows of the basis and move to the point where their residuals are zero; return False if the rows are
+    dependent.
+    """
     r, inverse, met, point = basis.size, room.inverse, room.met, room.point
     for i in range(r):
         at = basis[i]
@@ -137,7 +146,9 @@ def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: 
 
 @compiled_within
 def invert(left: Matrix, inverse: Matrix) -> bool:
-    """Apply to `inverse` what makes `left` the identity (Gauss and Jordan, pivoted); False if it is singular."""
+    """Multiply `inverse` by the inverse of `left` (Gauss-Jordan elimination with pivots); return False if `left` is
+    singular. Both are overwritten.
+    """
     r = len(left)
     for k in range(r):
         pivot = k
@@ -160,10 +171,11 @@ def invert(left: Matrix, inverse: Matrix) -> bool:
 
 @compiled_within
 def _leave(basis: Basis, room: Room) -> tuple[int, float]:
-    """Choose the basis row whose edge goes down most steeply, and set the direction along it; -1 where none does.
+    """Choose the basis row whose edge goes down most steeply, and set the direction along the edge.
 
-    Its multiplier makes the subgradient zero; the vertex is optimal where all are within -1 ... 1. Of artificial rows,
-    whose multipliers should be zero, one leaves in any case. Also returned: how fast the sum falls along the edge.
+    Returns the row's index in the basis, and how fast the sum falls along the edge; -1 if no edge goes down. The
+    multipliers of the basis rows make the subgradient zero; the vertex is optimal if all are within -1 ... 1. If the
+    basis has artificial rows, whose multipliers should be zero, an artificial row leaves in any case.
     """
     inverse, downhill, direction, r = room.inverse, room.downhill, room.direction, basis.size
     best, steepest, slope, sign, allowed = -1, 0.0, 0.0, 1.0, 1.0
@@ -211,16 +223,18 @@ def _project(rows: Matrix, direction: Vector, along: Vector) -> None:
 
 @compiled_no_refcount
 def _add(factor: float, column: Vector, total: Vector) -> None:
-    """Add a column (n,) so many times to a total (n,)."""
+    """Add a column (n,), multiplied by a factor, to a total (n,)."""
     for i in range(total.size):
         total[i] += factor * column[i]
 
 
 @compiled_within
 def _gradient(rows: Matrix, residual: Vector, sign: Vector, pull: Vector, downhill: Vector) -> None:
-    """The direction of descent: the sum of rows by the sign of their residual (n,), written over, and the pull.
+    """Fill in the direction of descent: the sum of the rows, multiplied by the signs of their residuals (n,), plus the
+    pull.
 
-    Two columns at a time, because a processor adds two sums up in the time of one; the last of an odd number twice.
+    sign (n,): overwritten by the signs. Two columns are summed at a time, because a processor computes two sums in the
+    time of one; the last of an odd number of columns is summed twice.
     """
     for i in range(residual.size):
         # a residual of zero counts as just above it, here and on the ray; one of the basis, NaN, has no sign
@@ -236,11 +250,13 @@ def _gradient(rows: Matrix, residual: Vector, sign: Vector, pull: Vector, downhi
 
 @compiled_within
 def lowest_crossing(room: Room, slope: float, length: float) -> tuple[int, float]:
-    """Where on the ray the sum is lowest: the row that changes sign there, and how far it is; (-1, 0) if nowhere.
+    """Return the row that changes sign at the lowest point on the ray, and the distance of that point; (-1, 0) if there
+    is none.
 
-    residual (n,) at the start; along (n,) how fast each falls; slope: how fast the sum falls at the start; length: of
-    the direction. The slope flattens by 2 |along| at each row's change of sign, so the place is a weighted median:
-    quickselect, O(n), among the rows that change no later than where some of them alone have it.
+    The residuals (n,) are those at the start of the ray, along (n,) their rates of fall along it. slope: the rate at
+    which the sum falls at the start. length: the length of the direction. The slope flattens by 2 |along| where a row
+    changes sign, so the lowest point is a weighted median. It is found by quickselect, O(n), among the rows that change
+    sign no later than the weighted median of every eighth row.
     """
     residual, along, row, place, weight = room.residual, room.along, room.row, room.place, room.weight
     count, first, farthest = 0, 0, np.inf
@@ -270,9 +286,11 @@ def lowest_crossing(room: Room, slope: float, length: float) -> tuple[int, float
 
 @compiled_within
 def _partition(room: Room, first: int, last: int) -> tuple[int, int, float, float]:
-    """Sort the places from first to last into those less than, equal to and more than the median of three of them.
+    """Sort the points from `first` to `last` into those less than, equal to and greater than the median of three of
+    them.
 
-    Returns where the equal ones and where the greater ones begin, and the weights of the lesser and the equal ones.
+    Returns where the equal and where the greater points begin, and the total weights of the lesser and of the equal
+    points.
     """
     row, place, weight = room.row, room.place, room.weight
     a, pivot, c = place[first], place[(first + last) // 2], place[last]

@@ -28,11 +28,11 @@ _CLOSE: Final = 0.01
 _DEPENDENT: Final = 1e-6
 """The settings of the search in `polished`.
 
-_REACH: the distance of the search at first, in standard errors. _NARROWER: the factor of this distance from round to
-round. _NEAREST: the distance at which the search ends. _ROUNDS: the largest number of rounds. _POLISHED: the fraction
-of the fitness that a round must gain for the next round to search as far. _PLACES: the largest number of points on a
-line. _CLOSE: the smallest distance of these points, in standard errors. _DEPENDENT: the fraction of a column that must
-be independent of the others.
+_REACH: the distance of the search at first, in standard errors. _NARROWER: the factor of this distance after a round,
+unless the minimum lies at an end of the searched range and the round has lowered the fitness by more than the fraction
+_POLISHED. _NEAREST: the distance, in standard errors, at which the search ends. _ROUNDS: the largest number of rounds.
+_PLACES: the largest number of points on a line. _CLOSE: the smallest distance of these points, in standard errors.
+_DEPENDENT: the fraction of a column that must be independent of the others.
 """
 
 
