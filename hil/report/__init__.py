@@ -1,1 +1,1 @@
-"""Tables, pages and pictures of a result."""
+"""Present results: tables for the terminal, JSON objects, HTML pages and figures."""

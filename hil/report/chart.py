@@ -1,4 +1,4 @@
-"""Charts of a page that can be zoomed, drawn in the browser by uPlot, which is included in the page."""
+"""Charts that can be zoomed in a page. The browser draws them with uPlot, which is included in the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ _MISSING = 65_535  # stands for a NaN
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a panel: its values (n,), NaN if it is interrupted. colour: "soft", "first" or "error"."""
+    """A line in a panel of a chart. values: (n,), NaN where the line is interrupted. colour: "soft", "first" or
+    "error".
+    """
 
     name: str
     values: Array
@@ -29,7 +31,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """Lines over a common axis; label: of their values, with the unit."""
+    """A panel of a chart: several lines. label: of the vertical axis, with the unit."""
 
     label: str
     lines: Sequence[Line]
@@ -37,15 +39,18 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """Panels, one above the other, over one axis. x: (n,), in order. label: of the axis, with the unit."""
+    """A chart that can be zoomed: panels one above the other, with a common horizontal axis.
+
+    label: of the horizontal axis, with the unit. x: values on the horizontal axis (n,), in increasing order.
+    """
 
     label: str
     x: Array
     panels: Sequence[Panel]
 
     def as_json(self) -> str:
-        """Return the chart for the script of the page. Samples with NaN for x, between recordings, belong to no
-        line.
+        """Return the chart as JSON for the script in the page. Samples with NaN in x, between recordings, are left
+        out.
         """
         kept = np.isfinite(self.x)
         order = np.flatnonzero(kept)[np.argsort(self.x[kept], kind="stable")]
@@ -68,7 +73,7 @@ class Chart:
 
 
 def _packed(values: Array) -> dict[str, Any]:
-    """Return values as unsigned 16-bit steps of their range, base64."""
+    """Return values as base64 of unsigned 16-bit numbers, scaled to the range of the values."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     step = (high - low) / _STEPS or 1.0
@@ -78,7 +83,9 @@ def _packed(values: Array) -> dict[str, Any]:
 
 
 def library() -> dict[str, str]:
-    """Return the parts that a page with charts needs: "script", "style" and "licence" of uPlot, and our "start"."""
+    """Return the texts that a page with charts contains: "script", "style" and "licence" of uPlot, and the script
+    "start" of hil.
+    """
     folder = resources.files("hil.report").joinpath("charts")
     names = {"script": "uPlot.min.js", "style": "uPlot.min.css", "licence": "LICENSE", "start": "charts.js"}
     return {part: folder.joinpath(name).read_text(encoding="utf-8") for part, name in names.items()}

@@ -1,4 +1,4 @@
-"""The result of `hil compare`: its table, its JSON object and its picture."""
+"""The result of `hil compare` as a table, a JSON object and a figure."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SCHEMA = "hil-comparison/2"
-"""Version 1 had the errors among the warnings."""
+"""The name and version of the JSON object. In version 1 the errors were in the list of warnings."""
 
 
 def as_json(found: Comparison) -> dict[str, Any]:
-    """Return the JSON object of `hil compare --json`, SI units and hours; an unknown value is null."""
+    """Return the JSON object of `hil compare --json`, with SI units and hours; an unknown value is null."""
     return {
         "schema": SCHEMA,
         "model": found.model,
@@ -63,13 +63,15 @@ def _parameter(one: Repeated) -> dict[str, Any]:
 
 
 def _scale(found: Comparison, unit: str) -> tuple[float, str]:
-    """The factor and unit of a column: in mN m where the joint is as soft as a hand's."""
+    """Return factor and unit for printing a column: based on mN m for a soft joint such as a hand's, otherwise on N
+    m.
+    """
     kc = [abs(one.estimates["Kc"].value) for one in found.recordings if one.estimates]
     return people_unit(unit, milli=not kc or min(kc) < 1.0)
 
 
 def comparison_table(found: Comparison) -> Table:
-    """Return the table of the recordings one by one, and below them their pooled value and variance components."""
+    """Return a table with one row for each recording, and below these the pooled value and the variance components."""
     table = plain_table(f"{found.model}, each recording on its own", _headings(found), _recording_rows(found))
     table.add_section()
     for row in _pooled_rows(found):
@@ -100,7 +102,9 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
 
 
 def write_page(found: Comparison, path: Path, command: str = "", *, force: bool) -> Path:
-    """Write the report to `path` and return it. command: as it was typed. Raises WrongUse."""
+    """Write the HTML report to `path` and return the path. command: the command line, for the report. Raises
+    WrongUse.
+    """
     verdicts = [parameter.verdict for parameter in found.parameters]
     rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
     alt = f"Kc and Bc of {len(found.recordings)} recordings with their 95 % intervals. {' '.join(verdicts)}"
@@ -142,7 +146,9 @@ def _together(found: Comparison, one: Repeated) -> list[str]:
 
 
 def figure(found: Comparison) -> Figure:
-    """Return the picture: each parameter over the recordings with its interval, and the pooled interval behind them."""
+    """Return a figure: each parameter over the recordings with its interval, and the pooled interval as a
+    background.
+    """
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=(8, 6), layout="constrained")

@@ -1,4 +1,4 @@
-"""The errors of the deflection in the result of `hil identify`: a line, and the JSON."""
+"""The noise of the deflection in the result of `hil identify`, as a line of text and as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _METHODS = {"instruments": "the command as an instrument", "simulation": "a simu
 
 
 def deflection_json(deflection: Deflection) -> dict[str, Any]:
-    """Return the entry "deflection" of the JSON object."""
+    """Return the entry "deflection" of the JSON object of `hil identify --json`."""
     return {
         "noise": deflection.noise,
         "counts": json_number(deflection.counts),
@@ -27,7 +27,7 @@ def deflection_json(deflection: Deflection) -> dict[str, Any]:
 
 
 def deflection_lines(one: Deflection | None) -> list[str]:
-    """Return a line on the noise of the deflection and what was done about it; none where it does nothing."""
+    """Return a line about the noise of the deflection and its correction; an empty list if the noise has no effect."""
     if one is None:
         return []
     passed = "" if one.low_pass is None else f", before a low-pass of {one.low_pass:.3g} Hz"

@@ -1,4 +1,4 @@
-"""An experiment design for people and machines: tables, lines and JSON. Nothing here prints."""
+"""The result of `hil design` as tables, lines of text and JSON. Nothing is printed here."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from hil.experiment_design.fisher import Prediction
 
 SCHEMA = "hil-design/2"
-"""Version 1 had the warning not-identifiable under another code, and its default model was linear."""
+"""The name and version of the JSON object. In version 1 the warning not-identifiable had another code, and the default
+model was linear.
+"""
 
 
 def headline(judged: Mapping[str, Assessment]) -> str:
-    """Return the relative standard errors of Kc and Bc for each of the excitations, in one line."""
+    """Return the relative standard errors of Kc and Bc for each excitation, in one line."""
     errors = (
         f"{name} {one['Kc'].error / one['Kc'].rough:.2%}, {one['Bc'].error / one['Bc'].rough:.2%}"
         for name, one in judged.items()
@@ -30,7 +32,7 @@ def headline(judged: Mapping[str, Assessment]) -> str:
 
 
 def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
-    """Return the predicted standard error of every parameter, a column for each of the excitations by name."""
+    """Return a table of the predicted standard errors: one row for each parameter, one column for each excitation."""
     rows = []
     for parameters in zip(*(one.parameters for one in judged.values()), strict=True):
         factor, unit = people_unit(parameters[0].unit, milli=task.limits[1] < 1.0)
@@ -47,7 +49,7 @@ def _error(parameter: Prediction, factor: float) -> str:
 
 
 def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
-    """Return the predicted peaks beside their limits."""
+    """Return a table of the predicted peaks and their limits, with one column for each excitation."""
     rows = []
     for index, name in enumerate(LIMITED):
         cells = [f"{one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
@@ -56,7 +58,10 @@ def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
 
 
 def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> list[str]:
-    """Return what the tables do not say, and the command that records each excitation on `stand` ("--backend sim")."""
+    """Return the lines below the tables, and the command that records each excitation.
+
+    stand: the options that name the stand, such as "--backend sim".
+    """
     return [
         "The errors are those of hil identify (least absolute deviations), 1.25 times those of least squares in white "
         "noise.\nFour times the duration halves them. Heating is not predicted.",
@@ -65,7 +70,10 @@ def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> li
 
 
 def as_json(task: Task, judged: Mapping[str, Assessment], general: list[Diagnostic], stand: str) -> dict[str, Any]:
-    """Return the JSON object of `hil design --json`, SI; an infinite error is null. judged: by "given" and "best"."""
+    """Return the JSON object of `hil design --json`, SI; an infinite error is null.
+
+    judged: the assessments "given" and "best". general: warnings that apply to every excitation.
+    """
     return {
         "schema": SCHEMA,
         "model": "+".join(task.terms),

@@ -1,4 +1,4 @@
-"""Numbers and tables as they are printed, and the parts that every JSON object shares."""
+"""Format numbers and tables for printing, and make the parts that all JSON objects have in common."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
 
 
 def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
-    """Return the factor to the printed unit of a parameter, and that unit: ms for times; mN m if `milli`, as in the
-    paper.
+    """Return the factor from SI to the printed unit of a parameter, and the printed unit: ms for times; mN m if
+    `milli`.
 
     The unit of a pure number is "".
     """
@@ -30,7 +30,7 @@ def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
 
 
 def engineering(value: float, unit: str, digits: int = 3) -> str:
-    """Return a value with an engineering prefix: 4.02 ms for 0.00402 s."""
+    """Return a value with an engineering prefix: "4.02 ms" for 0.00402 s."""
     rounded = float(f"{value:.{digits}g}")
     exponent = 0 if rounded == 0.0 or not math.isfinite(rounded) else 3 * math.floor(math.log10(abs(rounded)) / 3.0)
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))
@@ -38,7 +38,7 @@ def engineering(value: float, unit: str, digits: int = 3) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration as people read it: 20 s, 5 min, 5.6 h."""
+    """Return a duration as people read it: "20 s", "5 min", "5.6 h"."""
     for size, unit in ((3600.0, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.3g} {unit}"
@@ -46,7 +46,10 @@ def duration(seconds: float) -> str:
 
 
 def rounded(half: float, *values: float) -> list[str]:
-    """Return the values, and last `half`, rounded to the first digit of `half`, the half width of their interval."""
+    """Return the values and, as the last text, `half`, all rounded to the first digit of `half`.
+
+    half: half width of the interval of the values.
+    """
     if not (math.isfinite(half) and half > 0.0):
         return [f"{value:.5g}" for value in (*values, half)]
     decimals = -math.floor(math.log10(float(f"{half:.0e}")))
@@ -54,7 +57,9 @@ def rounded(half: float, *values: float) -> list[str]:
 
 
 def rounded_in_thousands(half: float, *values: float) -> list[str]:
-    """Return what `rounded` does, with one power of a thousand where they are small or large: 18.91e-6 and 0.09e-6."""
+    """Return the values and `half` as `rounded` does, but small or large values with a common power of a thousand:
+    18.91e-6 and 0.09e-6.
+    """
     largest = max((abs(value) for value in (*values, half) if math.isfinite(value)), default=0.0)
     if not (math.isfinite(half) and half > 0.0) or _PLAIN[0] <= largest < _PLAIN[1]:
         return rounded(half, *values)
@@ -64,12 +69,12 @@ def rounded_in_thousands(half: float, *values: float) -> list[str]:
 
 
 def json_number(value: float) -> float | None:
-    """Return the value, None if it is not finite: JSON has no such numbers."""
+    """Return the value, None if it is not finite, because JSON has no infinite numbers and no NaN."""
     return value if math.isfinite(value) else None
 
 
 def diagnostics_json(diagnostics: Iterable[Diagnostic]) -> dict[str, list[dict[str, str | None]]]:
-    """Return the lists "warnings" and "errors"."""
+    """Return the diagnostics as the two lists "warnings" and "errors" of a JSON object."""
     found: dict[str, list[dict[str, str | None]]] = {"warnings": [], "errors": []}
     for one in diagnostics:
         found["errors" if one.is_error else "warnings"].append(one.as_json())
@@ -77,7 +82,7 @@ def diagnostics_json(diagnostics: Iterable[Diagnostic]) -> dict[str, list[dict[s
 
 
 def plain_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Return a table without lines; the columns with a heading are to the right."""
+    """Return a table without ruled lines; a column with a heading is aligned to the right."""
     from rich.box import SIMPLE
     from rich.table import Table
     from rich.text import Text

@@ -1,4 +1,4 @@
-"""A report as one HTML file that needs no other file and no network: its parts, and how it is written."""
+"""Write a report as one HTML file that needs no other file and no network."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ _INLINE: dict[Any, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of a page: its heading, a table whose first row is its headings (none: no table), and lines below it."""
+    """A section of a page: a heading, a table and lines of text below it. rows: of the table; the first row has the
+    headings.
+    """
 
     heading: str
     rows: Sequence[Sequence[str]] = ()
@@ -44,9 +46,10 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture with the sentence that replaces it where it cannot be seen, with its numbers.
+    """A figure in a page.
 
-    chart: takes its place where the page's script runs, on a screen.
+    alt: a sentence with the figure's numbers, for readers who cannot see the figure. draw: function that returns the
+    figure. chart: shown instead of the figure on a screen, if the page's script runs.
     """
 
     name: str
@@ -58,9 +61,11 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page. title: names recording and result. verdict: the answer, in lines. failed: whether there is none.
-    sections: the first stands above the pictures, the others below them. provenance: pairs of a name and a text.
-    table: the command's JSON object.
+    """The content of a page.
+
+    title: name of the recording, and result. verdict: lines with the answer. failed: whether there is no result.
+    sections: the first is above the pictures, the others are below. provenance: pairs of a name and a text. table: the
+    command's JSON object.
     """
 
     title: str
@@ -75,21 +80,21 @@ class Page:
 
     @property
     def state(self) -> str:
-        """Return "error", "warning" or "good", according to the most serious diagnostic."""
+        """Return "error", "warning" or "good", for the most serious diagnostic of the page."""
         if self.failed or any(one.is_error for one in self.diagnostics):
             return "error"
         return "warning" if self.diagnostics else "good"
 
 
 def check_page_name(path: Path) -> Path:
-    """Return the path of a page. Raises WrongUse for a suffix that says another format."""
+    """Return `path` as the path of a page. Raises WrongUse if its suffix is that of another format."""
     if path.suffix.lower() not in {".html", ".htm"}:
         raise WrongUse(f"{path} is no name of a report, which is HTML: name it {path.with_suffix('.html')}")
     return path
 
 
 def write(page: Page, path: Path, *, force: bool) -> Path:
-    """Write a page and return its path. force: in place of a file that is there. Raises WrongUse."""
+    """Write a page to `path` and return the path. force: replace an existing file. Raises WrongUse."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -108,7 +113,7 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
 
 
 def svg(picture: Picture) -> str:
-    """Return a picture as an SVG element for a page with others, in the colours of that page."""
+    """Return a picture as an SVG element for a page with several pictures, in the colours of the page."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
 
@@ -128,12 +133,12 @@ def svg(picture: Picture) -> str:
 
 
 def table_rows(table: Table) -> list[list[str]]:
-    """Return a table of the terminal as rows, its headings first."""
+    """Return a table for the terminal as rows of texts; the first row has the headings."""
     columns = [[str(column.header), *(str(cell) for cell in column.cells)] for column in table.columns]
     return [list(row) for row in zip(*columns, strict=True)]
 
 
 def _embedded(table: Mapping[str, Any]) -> str:
-    """Return JSON that cannot end the script element that contains it."""
+    """Return JSON in which no text can end the script element that contains the JSON."""
     text = json.dumps(table, indent=1, allow_nan=False, default=str)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

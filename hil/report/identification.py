@@ -1,4 +1,4 @@
-"""The result of `hil identify` as people read it: its headline, tables and lines."""
+"""The result of `hil identify` as text: its answer in one line, its tables and its further lines."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ if TYPE_CHECKING:
 
 
 def milli(found: Identification) -> bool:
-    """Return whether the result is printed in mN m: a hand's joint is, an arm's is not."""
+    """Return whether torques are printed in mN m, as for the joint of a hand, and not in N m, as for the joint of an
+    arm.
+    """
     return float(np.ptp(found.signals.torque)) < 1.0
 
 
 def headline(found: Identification) -> str:
-    """Return Kc and Bc with half of their 95 % intervals and whether they may be trusted, in one line."""
+    """Return the answer in one line: Kc and Bc with half of their 95 % intervals, and whether each may be trusted."""
     lines = verdicts(found)
     return ",  ".join(lines) + ("  (95 %)" if all("±" in line for line in lines) else "")
 
@@ -50,9 +52,9 @@ def _verdict(found: Identification, estimate: Estimate) -> str:
 
 
 def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None, str, str]:
-    """Return the value, half its interval, the interval and the unit of a parameter, rounded together.
+    """Return value, half of the interval, interval and unit of a parameter as texts, rounded together.
 
-    Half the interval is None if it is not finite.
+    Half of the interval is None if it is not finite.
     """
     factor, unit = people_unit(estimate.unit, milli=milli(found))
     low, high = (end * factor for end in estimate.ci95)
@@ -65,7 +67,7 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
 
 
 def estimates_table(found: Identification) -> Table:
-    """Return the table of values and 95 % intervals."""
+    """Return a table of all parameters with their values and 95 % intervals."""
     rows = []
     for estimate in found.estimates:
         value, _, interval, unit = printed(found, estimate)
@@ -78,7 +80,9 @@ def estimates_table(found: Identification) -> Table:
 
 
 def repeatability_table(found: Identification) -> Table:
-    """Return the table of optimiser repeatability: the paper's Table 1 beside the exact optimum. No uncertainty."""
+    """Return a table of how well the optimiser repeats: statistics over the trials as in the paper's Table 1, and the
+    exact optimum. These are not uncertainties of the parameters.
+    """
     rows = []
     for estimate in found.estimates:
         factor, unit = people_unit(estimate.unit, milli=milli(found))
@@ -91,7 +95,9 @@ def repeatability_table(found: Identification) -> Table:
 
 
 def model_selection_table(found: Identification) -> Table:
-    """Return the table of model selection: the gain of each term, and Kc and Bc with it."""
+    """Return a table of the model selection: for each term the improvement of the score, and Kc and Bc with this
+    term.
+    """
     torque, kc, bc = (people_unit(unit, milli=milli(found)) for unit in ("N*m", "N*m/rad", "N*m*s/rad"))
     headings = ("", f"error, {torque[1]}", "held-out", "gain", f"Kc, {kc[1]}", f"Bc, {bc[1]}", "")
     rows = [
@@ -110,7 +116,9 @@ def model_selection_table(found: Identification) -> Table:
 
 
 def bands_table(found: Identification) -> Table | None:
-    """Return the dynamic stiffness in bands, by amplitude too; None where the recording is too short for it."""
+    """Return a table of the dynamic stiffness in frequency bands, also by amplitude; None if the recording is too
+    short.
+    """
     if found.dynamic_stiffness is None:
         return None
     factor, stiffness = people_unit("N*m/rad", milli=milli(found))
@@ -119,7 +127,9 @@ def bands_table(found: Identification) -> Table | None:
 
 
 def identification_lines(found: Identification) -> list[str]:
-    """Return the lines below the tables: fitness and optimiser gap, validation, fixture, excited band, work done."""
+    """Return the lines below the tables: fitness and optimiser gap, validation, fixture, excited band, amount of
+    computation.
+    """
     factor, unit = people_unit("N*m", milli=milli(found))
     return [
         f"mean |torque error| {found.optimum * factor:.5g} {unit}; best trial {found.fitness * factor:.5g} {unit}; "
@@ -137,9 +147,10 @@ def identification_lines(found: Identification) -> list[str]:
 
 
 def summary_lines(found: Identification) -> list[str]:
-    """Return the lines below the answer: the model, the fit, corrections of Kc and Bc if there are any, the work.
+    """Return the lines below the answer: the model, the fit, corrections of Kc and Bc if there are any, amount of
+    computation.
 
-    Where a sign is wrong, model and fit are those of another joint, and only the work is left.
+    If a sign is wrong, only the amount of computation is returned, because model and fit do not describe the joint.
     """
     work = (
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
@@ -163,9 +174,9 @@ def summary_lines(found: Identification) -> list[str]:
 
 
 def truth_lines(found: Identification, truth: Mapping[str, float]) -> list[str]:
-    """Return a line for Kc and one for Bc: the simulator's true value, and whether the 95 % interval holds it.
+    """Return a line for Kc and one for Bc: the simulator's true value, and whether the 95 % interval contains it.
 
-    truth: SI, by the names of a recording's /truth group.
+    truth: the true values, SI, by the names in a recording's /truth group.
     """
     return [_truth_line(found, estimate, truth[estimate.name]) for estimate in found.estimates[:2]]
 
@@ -180,14 +191,14 @@ def _truth_line(found: Identification, estimate: Estimate, true: float) -> str:
 
 
 def _choice_lines(found: Identification) -> list[str]:
-    """How much of the intervals of Kc and Bc comes from the choice of the model."""
+    """Return how much of the intervals of Kc and Bc is caused by the uncertain choice of the model."""
     averages = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
     shares = " and ".join(f"{estimate.choice:.0%} of the interval of {estimate.name}" for estimate in averages)
     return [f"the choice of the model makes {shares}"] if shares else []
 
 
 def _component_lines(found: Identification) -> list[str]:
-    """The variance components of Kc and Bc over pooled recordings, as standard deviations."""
+    """Return the variance components of Kc and Bc over pooled recordings, as standard deviations."""
     pooled = [(estimate, estimate.components) for estimate in found.estimates[:2] if estimate.components is not None]
     return [
         f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "

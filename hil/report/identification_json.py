@@ -1,4 +1,6 @@
-"""The JSON object of `hil identify` (docs/decisions/0009), and the one of an earlier version in its words."""
+"""The JSON object of `hil identify` (docs/decisions/0009), and the conversion of objects that earlier versions
+wrote.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +54,9 @@ def as_json(found: Identification) -> dict[str, Any]:
 
 
 def unusable_json(recordings: Sequence[Path], model: str, preset: str, seed: int, reason: str) -> dict[str, Any]:
-    """Return the object where nothing could be fitted: Kc and Bc are null, and `reason` stands in the errors."""
+    """Return the JSON object for recordings from which nothing could be identified: Kc and Bc are null, and `reason` is
+    in the list of errors.
+    """
     units = {"Kc": "N*m/rad", "Bc": "N*m*s/rad"}
     return {
         **_head(recordings, model, preset, seed),
@@ -100,7 +104,7 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
 
 
 def _conditional(estimate: Estimate) -> dict[str, Any]:
-    """The exact optimum of the selected model, and its interval given that model."""
+    """Return the exact optimum of the selected model, and the interval on condition that this model is correct."""
     low, high = estimate.ci95 if estimate.conditional is None else estimate.conditional.ci95
     return {"value": estimate.exact, "ci95": [json_number(low), json_number(high)]}
 
@@ -119,9 +123,10 @@ def _step(step: Step) -> dict[str, Any]:
 
 
 def upgraded(table: dict[str, Any]) -> dict[str, Any]:
-    """Return a JSON object of `hil identify` in the words of this version, whichever version wrote it.
+    """Return a JSON object of `hil identify`, written by any version, with the names that the present version uses.
 
-    Version 1 kept the errors among the warnings without a mark: there they stay. Raises WrongUse for any other schema.
+    In version 1 the errors were in the list of warnings without a mark; they stay in that list. Raises WrongUse for any
+    other schema.
     """
     schema = table.get("schema")
     if schema == SCHEMA:
@@ -153,7 +158,7 @@ def upgraded(table: dict[str, Any]) -> dict[str, Any]:
 
 
 _CODES = {"unsteady": "not-stationary"}
-"""Diagnostics by their code in version 1."""
+"""The present code of each diagnostic, by its code in version 1."""
 
 
 def _upgraded_parameters(parameters: dict[str, Any]) -> dict[str, Any]:

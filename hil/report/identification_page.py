@@ -1,4 +1,4 @@
-"""The report of an identification, and of recordings from which nothing could be identified."""
+"""The HTML report of `hil identify`, also for recordings from which nothing could be identified."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ _MOST = 4_000_000  # rows of a recording that are drawn although nothing came of
 
 
 def write_page(found: Identification, path: Path, command: str = "", *, force: bool) -> Path:
-    """Write the report of a result to `path` and return it. command: as it was typed. Raises WrongUse."""
+    """Write the report of a result to `path` and return the path. command: the command line, for the report. Raises
+    WrongUse.
+    """
     names = ", ".join(str(recording) for recording in found.recordings)
     answer = headline(found)
     page = Page(
@@ -66,7 +68,11 @@ def _sections(found: Identification) -> list[Section]:
 def write_failure(
     reason: str, recordings: Sequence[Path], table: Mapping[str, Any], path: Path, command: str = "", *, force: bool
 ) -> Path:
-    """Write the report where nothing could be identified: the reason, and what the recordings show. Raises WrongUse."""
+    """Write a report for recordings from which nothing could be identified: `reason`, and pictures of the recordings.
+    Raises WrongUse.
+
+    table: the command's JSON object. command: the command line, for the report. force: replace an existing file.
+    """
     names = ", ".join(str(recording) for recording in recordings)
     page = Page(
         title=f"{', '.join(recording.name for recording in recordings)}: no result",
@@ -83,7 +89,7 @@ def write_failure(
 
 
 def _seen(at: int, path: Path) -> list[Picture]:
-    """The picture of a recording, as far as it can be read."""
+    """Return the picture of a recording, as far as the recording can be read."""
     with suppress(WrongUse, Untrustworthy), Recording(path) as recording:
         if not 1 < len(recording) <= _MOST:
             return []

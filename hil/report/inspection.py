@@ -1,4 +1,4 @@
-"""The summary of a recording: its table and its JSON object."""
+"""The summary of a recording as a table and as a JSON object."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 _SEEN = 1e-6  # s; nothing is late in virtual time but for rounding
 SCHEMA = "hil-inspection/2"
-"""Version 1 had the errors among the warnings."""
+"""The name and version of the JSON object. In version 1 the errors were in the list of warnings."""
 
 
 def inspection_table(seen: Inspection) -> Table:
-    """Return the table of a recording's summary."""
+    """Return the summary of a recording as a table."""
     from rich.table import Table
     from rich.text import Text
 

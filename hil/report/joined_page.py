@@ -1,4 +1,4 @@
-"""The report of many recordings in one page: a table of Kc and Bc, a picture of both, and each recording's fit."""
+"""The report of many recordings in one HTML page: a table and a figure of Kc and Bc, and the fit of each recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ PARAMETERS = ("Kc", "Bc")
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One recording: its identification, or why there is none with the JSON object that says so."""
+    """One recording in the report.
+
+    found: its identification, None if it failed. reason: why it failed. unusable: the JSON object of the failure.
+    """
 
     path: Path
     found: Identification | None
@@ -38,13 +41,16 @@ class Entry:
         return self.found is not None and all(map(self.found.trusted, PARAMETERS))
 
     def estimate(self, name: str) -> Estimate | None:
-        """Return a parameter, None if it was not identified."""
+        """Return a parameter's estimate, None if the parameter was not identified."""
         estimates = () if self.found is None else self.found.estimates
         return next((one for one in estimates if one.name == name), None)
 
 
 def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force: bool) -> Path:
-    """Write the report of recordings, each identified on its own, and return its path. Raises WrongUse."""
+    """Write the report of separately identified recordings to `path` and return the path. Raises WrongUse.
+
+    command: the command line, for the report. force: replace an existing file.
+    """
     good = [entry for entry in entries if entry.found is not None]
     names = ", ".join(entry.path.name for entry in entries)
     page = Page(
@@ -66,14 +72,14 @@ def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force
 
 
 def verdict(entries: Sequence[Entry]) -> str:
-    """Return in one line how many of the recordings have a Kc and a Bc that can be trusted."""
+    """Return in one line for how many of the recordings Kc and Bc can be trusted."""
     counts = [sum(entry.found is not None and entry.found.trusted(name) for entry in entries) for name in PARAMETERS]
     parts = " and ".join(f"{name} of {count}" for name, count in zip(PARAMETERS, counts, strict=True))
     return f"{len(entries)} recordings: {parts} can be trusted"
 
 
 def table(entries: Sequence[Entry]) -> list[list[str]]:
-    """Return the rows of the table, its headings first: a row a recording."""
+    """Return a table with one row for each recording; the first row has the headings."""
     factor, units = _units(entries)
     rows = [["recording", f"Kc [{units[0]}]", f"Bc [{units[1]}]", "model", "state"]]
     for entry in entries:
@@ -102,7 +108,7 @@ def _state(entry: Entry) -> str:
 
 
 def _diagnostics(entries: Sequence[Entry]) -> list[Diagnostic]:
-    """Return the warnings and errors of all, each with the name of its recording."""
+    """Return the warnings and errors of all recordings, each with the recording's name."""
     found = []
     for entry in entries:
         own = [Diagnostic("unusable", entry.reason, is_error=True)] if entry.found is None else entry.found.diagnostics
@@ -111,7 +117,9 @@ def _diagnostics(entries: Sequence[Entry]) -> list[Diagnostic]:
 
 
 def _pictures(at: int, entry: Entry) -> list[Picture]:
-    """Return the first pictures of a recording, as drawings: charts of many would make the page heavy."""
+    """Return the first pictures of a recording, without charts: charts of many recordings would make the page too
+    large.
+    """
     if entry.found is None:
         return []
     title = f"{entry.path.name}: {headline(entry.found)}"
@@ -122,7 +130,7 @@ def _pictures(at: int, entry: Entry) -> list[Picture]:
 
 
 def _figure(entries: Sequence[Entry]) -> Figure:
-    """Return the picture of Kc and Bc over the recordings, each with its interval."""
+    """Return a figure of Kc and Bc over the recordings, with their intervals."""
     from matplotlib.figure import Figure
 
     factor, units = _units(entries)

@@ -1,4 +1,4 @@
-"""The lack-of-fit test and the dynamic stiffness as people and machines read them. Nothing here prints."""
+"""The lack-of-fit test and the dynamic stiffness as text, tables and JSON. Nothing is printed here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
-    """Return the object "lack_of_fit" of the JSON; sizes are relative to Kc and Bc. None if nothing was tested."""
+    """Return the entry "lack_of_fit" of the JSON object; sizes are relative to Kc and Bc. None if nothing was
+    tested.
+    """
     if found is None:
         return None
     return {
@@ -37,7 +39,7 @@ def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
 
 
 def dynamic_stiffness_json(found: DynamicStiffness | None) -> dict[str, Any] | None:
-    """Return the object "dynamic_stiffness" of the JSON, SI units; None where the recording is too short."""
+    """Return the entry "dynamic_stiffness" of the JSON object, SI units; None if the recording is too short."""
     if found is None:
         return None
     distortion = found.distortion
@@ -64,9 +66,10 @@ def _bands_json(bands: Bands) -> dict[str, Any]:
 
 
 def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Table:
-    """Return the table of K'(f) and B'(f) with half their 95 % intervals; factor: to the printed units.
+    """Return a table of stiffness K'(f) and damping B'(f) with half of their 95 % intervals.
 
-    Where the amplitudes differ, those of the half of the segments with the smaller and the larger deflection follow.
+    factor: from SI to the printed units. stiffness, damping: the printed units. If the amplitudes differ, further rows
+    are for the half of the segments with the smaller deflection and the half with the larger deflection.
     """
     rows = [row for name, bands in found.groups for row in _band_rows(name, bands, factor)]
     headings = ["f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence", "deflection, r.m.s."]
@@ -92,7 +95,7 @@ def _band_rows(name: str, bands: Bands, factor: float) -> list[tuple[str, ...]]:
 
 
 def distortion_lines(found: DynamicStiffness | None) -> list[str]:
-    """Return the line about the distortion; none where it was not measured."""
+    """Return a line about the harmonic distortion; an empty list if it was not measured."""
     if found is None or found.distortion is None:
         return []
     level, noise, period = found.distortion.level, found.distortion.noise, found.distortion.period

@@ -1,4 +1,4 @@
-"""The provenance of a result: its recordings, their stand and drive, when they were made, and by what."""
+"""The origin of a result: its recordings, their stand and drive, when they were made, and with which program."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hil.stand.file import parse
 
 
 def provenance(recordings: Sequence[Path], command: str) -> list[tuple[str, str]]:
-    """Return pairs of a name and a text. command: as it was typed, "" if there was none.
+    """Return the origin of a result as pairs of a name and a text. command: the command line, "" if there was none.
 
-    A recording that cannot be read any more is named with the reason.
+    For a recording that cannot be read any more, the text is the reason.
     """
     rows = [pair for path in recordings for pair in _of_recording(path)]
     made = [("report made", f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"), ("by", _hil())]
@@ -61,7 +61,7 @@ def _stand(text: str) -> str:
 
 
 def _calibrations(text: str) -> str:
-    """Return the calibrations that the recording was made with, each with its date."""
+    """Return the calibrations in the stand file `text` of a recording, each with its date."""
     with suppress(WrongUse):
         made = parse(text).calibration.made() if text else {}
         return ", ".join(f"{name} {date:%Y-%m-%d}" for name, date in made.items())

@@ -1,4 +1,4 @@
-"""The paper's experiment repeated: Table 1, Figure 8 and the JSON object of `hil replicate`."""
+"""The repetition of the paper's experiment by `hil replicate`: Table 1, Figure 8 and the JSON object."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from hil.identification.result import Estimate
 
 SCHEMA = "hil-replication/2"
-"""Version 1 called the optimiser gap relative_gap, and had no diagnostics."""
+"""The name and version of the JSON object. In version 1 the optimiser gap was named relative_gap, and there were no
+diagnostics.
+"""
 
 
 def as_json(done: Replication) -> dict[str, Any]:
@@ -56,7 +58,7 @@ def _parameter(done: Replication, estimate: Estimate) -> dict[str, Any]:
 
 
 def replication_lines(done: Replication) -> list[str]:
-    """Return Table 1 beside the paper's, a line each, in mN m."""
+    """Return Table 1 beside the paper's Table 1, in mN m; each row of the table is one line."""
     kc, bc = done.identification.estimates
     trials = [_mean(one.optimiser.mean, one.optimiser.std) for one in (kc, bc)]
     rows = [
@@ -75,7 +77,7 @@ def _mean(mean: float, std: float) -> str:
 
 
 def write_convergence(done: Replication, path: Path) -> None:
-    """Write Figure 8 as a PNG: the best fitness of every trial against the generation, above the exact optimum.
+    """Write Figure 8 as a PNG file: the best fitness of every trial over the generations, and the exact optimum.
 
     Raises WrongUse if the file cannot be written.
     """

@@ -1,1 +1,1 @@
-"""The pictures of a recording and of an identification: drawn for the page, and written as PNG."""
+"""Figures of a recording and of an identification, for HTML pages and as PNG files."""

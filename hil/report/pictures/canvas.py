@@ -1,4 +1,4 @@
-"""Empty pictures with their panels, and text for them."""
+"""Empty figures with panels, and functions that prepare text for figures."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GRID = 0.3
-"""Width of the lines of a grid, points."""
+"""The width of grid lines, points."""
 
 
 def canvas(rows: int, columns: int, size: tuple[float, float], **layout: Any) -> tuple[Figure, list[Axes]]:
-    """Return a picture of that size, inches, with its panels row by row. layout: of matplotlib's subplots."""
+    """Return an empty figure and its panels, row by row. size: inches. layout: arguments for matplotlib's subplots."""
     from matplotlib.figure import Figure
 
     drawn = Figure(figsize=size, layout="constrained")
@@ -26,14 +26,14 @@ def canvas(rows: int, columns: int, size: tuple[float, float], **layout: Any) ->
 
 
 def literal(text: str) -> str:
-    """Return the text for a picture, where two $ would begin a formula."""
+    """Return the text with every $ escaped, because two $ would begin a formula in a figure."""
     return text.replace("$", r"\$")
 
 
 def plain_ticks(*panels: Axes) -> None:
-    """Label the logarithmic axes of the panels, whose scale is set already, as 1e-04.
+    """Label the logarithmic axes of the panels as 1e-04. The scale of the axes must be set before.
 
-    Powers of ten set as formulas take most of the time that a picture takes, and are no text that can be searched.
+    Powers of ten as formulas take most of the time of drawing, and cannot be searched as text.
     """
     from matplotlib.ticker import LogFormatter
 

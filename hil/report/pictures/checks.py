@@ -1,4 +1,6 @@
-"""What the model leaves unexplained: residuals with the bounds of chance, and the dynamic stiffness without a model."""
+"""Figures of what the model does not explain: the residuals compared with white noise, and the dynamic stiffness
+without a model.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ _LAGS = 200
 
 
 def residuals_drawn(found: Identification) -> Figure:
-    """Return spectrum and autocorrelation, each with the bounds within which 95 % of white noise lies."""
+    """Return a figure of the residuals' spectrum and autocorrelation, each with the bounds that contain 95 % of white
+    noise.
+    """
     _, unit = people_unit("N*m", milli=milli(found))
     values, rate = _residuals(found)
     drawn, (spectrum, correlation) = canvas(1, 2, (9, 3.6))
@@ -40,7 +44,7 @@ def residuals_drawn(found: Identification) -> Figure:
 
 
 def residuals_text(found: Identification) -> str:
-    """Return both in words."""
+    """Return the residuals' spectrum and autocorrelation in words."""
     _, unit = people_unit("N*m", milli=milli(found))
     values, rate = _residuals(found)
     lags, alike = _autocorrelation(values)
@@ -56,7 +60,7 @@ def residuals_text(found: Identification) -> str:
 
 
 def _residuals(found: Identification) -> tuple[Array, float]:
-    """The residuals (n,), as people read them, less their mean, and their rate, Hz."""
+    """Return the residuals (n,) in the printed unit, without their mean, and their sampling rate, Hz."""
     factor, _ = people_unit("N*m", milli=milli(found))
     values = factor * (found.signals.torque - modelled(found))
     return values - values.mean(), 1.0 / float(np.median(np.diff(found.signals.motion.time)))
@@ -83,7 +87,7 @@ def _draw_autocorrelation(values: Array, rate: float, panel: Axes) -> None:
 
 
 def _autocorrelation(values: Array) -> tuple[Array, Array]:
-    """Lags, samples, and the autocorrelation there; zero where the values are."""
+    """Return the lags, in samples, and the autocorrelation at each lag; all zero for values that are zero."""
     lags = np.arange(1.0, max(2, min(len(values) // 4, _LAGS)))
     padded = np.fft.rfft(values, 2 * len(values))
     alike = np.fft.irfft(np.abs(padded) ** 2)[: len(lags) + 1]
@@ -91,12 +95,14 @@ def _autocorrelation(values: Array) -> tuple[Array, Array]:
 
 
 def _bound(values: Array) -> float:
-    """Return the bound that contains 95 % of the autocorrelation of white noise."""
+    """Return the bound that contains 95 % of the autocorrelation values of white noise."""
     return 1.96 / math.sqrt(len(values))
 
 
 def lack_of_fit_drawn(found: Identification) -> Figure:
-    """Return the residuals beside the earlier motion, and over deflection and rate."""
+    """Return a figure of the residuals: their correlation with the earlier motion, and their mean over deflection and
+    rate.
+    """
     drawn, (correlation, plane) = canvas(1, 2, (9, 3.6))
     plane.grid(visible=False)
     factor, unit = people_unit("N*m", milli=milli(found))
@@ -106,7 +112,7 @@ def lack_of_fit_drawn(found: Identification) -> Figure:
 
 
 def draw_correlation(found: LackOfFit | None, panel: Axes) -> None:
-    """Draw the correlation of the residuals with the earlier deflection and rate, and the chance of it."""
+    """Draw the correlation of the residuals with the earlier deflection and rate, and the bound expected by chance."""
     if found is None:
         panel.set_axis_off()
         return
@@ -119,7 +125,9 @@ def draw_correlation(found: LackOfFit | None, panel: Axes) -> None:
 
 
 def draw_plane(found: LackOfFit | None, panel: Axes, factor: float, unit: str) -> None:
-    """Draw the mean residual over the plane of deflection and rate; factor and unit: in which people read a torque."""
+    """Draw the mean residual over the plane of deflection and rate. factor, unit: from SI to the printed unit of
+    torque.
+    """
     if found is None:
         panel.set_axis_off()
         return
@@ -131,7 +139,7 @@ def draw_plane(found: LackOfFit | None, panel: Axes, factor: float, unit: str) -
 
 
 def dynamic_stiffness_drawn(found: Identification) -> Figure:
-    """Return K'(f), B'(f) and the coherence over the same frequencies."""
+    """Return a figure of stiffness K'(f), damping B'(f) and coherence over frequency."""
     drawn, panels = canvas(1, 3, (9, 3.6))
     factor, unit = people_unit("N*m", milli=milli(found))
     draw_stiffness(found.dynamic_stiffness, panels[0], factor, f"{unit}/rad")
@@ -150,7 +158,7 @@ def dynamic_stiffness_drawn(found: Identification) -> Figure:
 
 
 def draw_stiffness(found: DynamicStiffness | None, panel: Axes, factor: float, unit: str) -> None:
-    """Draw K'(f) with its intervals; factor and unit: in which people read a stiffness."""
+    """Draw stiffness K'(f) with its intervals. factor, unit: from SI to the printed unit of stiffness."""
     if found is None:
         panel.set_axis_off()
         return

@@ -1,4 +1,4 @@
-"""The intervals of the parameters, and the terms that model selection tried."""
+"""Figures of the parameters' intervals, and of the terms that model selection tried."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LINEAR = 10.0  # gains up to which their axis is linear: others are thousands o
 
 
 def intervals_drawn(found: Identification) -> Figure:
-    """Return the 95 % interval of each parameter, in percent of its value."""
+    """Return a figure of the 95 % interval of each parameter, in percent of the parameter's value."""
     known = _known(found)
     drawn, (panel,) = canvas(1, 1, (9, 0.9 + 0.45 * max(len(known), 1)))
     for at, estimate in enumerate(known):
@@ -36,7 +36,7 @@ def intervals_drawn(found: Identification) -> Figure:
 
 
 def intervals_text(found: Identification) -> str:
-    """Return the intervals in words."""
+    """Return the parameters' intervals in words."""
     parts = []
     for estimate in _known(found):
         _, _, interval, unit = printed(found, estimate)
@@ -45,12 +45,15 @@ def intervals_text(found: Identification) -> str:
 
 
 def _known(found: Identification) -> list[Estimate]:
-    """The parameters with a finite interval and a value that it can be compared with."""
+    """Return the parameters that have a finite interval and a value that is not zero."""
     return [one for one in found.estimates if np.isfinite(one.ci95).all() and one.value != 0.0]
 
 
 def selection_drawn(found: Identification) -> Figure:
-    """Return the gain of each term that was tried, and Kc and Bc with it beside the interval of the result."""
+    """Return a figure: for each term that was tried, the improvement of the score, and Kc and Bc with this term.
+
+    The interval of the final result is drawn beside Kc and Bc.
+    """
     from matplotlib.patches import Patch
 
     steps = found.steps
@@ -80,7 +83,7 @@ def _draw_gains(steps: tuple[Step, ...], panel: Axes) -> None:
 
 
 def _style(*, included: bool) -> dict[str, Any]:
-    """The bar of a term; included and rejected ones differ in more than colour."""
+    """Return the style of a term's bar: included and rejected terms differ in colour and in pattern."""
     return {"color": "C0"} if included else {"facecolor": "none", "edgecolor": "C3", "hatch": "////"}
 
 
@@ -96,7 +99,7 @@ def _draw_parameter(found: Identification, name: str, panel: Axes) -> None:
 
 
 def selection_text(found: Identification) -> str:
-    """Return the steps in words."""
+    """Return the steps of the model selection in words."""
     said = [
         f"{step.term} {step.gain:.3g} ({'included' if step.included else 'rejected'})"
         for step in found.steps

@@ -1,4 +1,4 @@
-"""Pictures written as PNG."""
+"""Write figures as PNG files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 
 def write_pictures(drawn: Sequence[Picture], folder: Path, *, force: bool) -> list[Path]:
-    """Write each picture as NAME.png into a folder, made where it is missing; return their paths. Raises WrongUse."""
+    """Write each picture as NAME.png into a folder; return the paths. Creates the folder. force: replace existing
+    files. Raises WrongUse.
+    """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{one.name}.png" for one in drawn]
@@ -27,13 +29,13 @@ def write_pictures(drawn: Sequence[Picture], folder: Path, *, force: bool) -> li
 
 
 def check_picture_name(path: Path) -> Path:
-    """Return the path of a picture. Raises WrongUse for a suffix that says another format."""
+    """Return `path` as the path of a picture. Raises WrongUse if its suffix is that of another format."""
     if path.suffix.lower() != ".png":
         raise WrongUse(f"{path} is no name of a picture, which is PNG: name it {path.with_suffix('.png')}")
     return path
 
 
 def save_picture(figure: Figure, path: Path, *, force: bool) -> None:
-    """Write a figure as a PNG. force: in place of one that is there. Raises WrongUse if it cannot be written."""
+    """Write a figure as a PNG file. force: replace an existing file. Raises WrongUse if the file cannot be written."""
     with atomic_write(path, force=force) as temporary:
         figure.savefig(temporary, format="png", dpi=110)

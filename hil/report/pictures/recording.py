@@ -1,4 +1,4 @@
-"""The picture of a recording."""
+"""The figure of a recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def recording_figure(channels: Mapping[str, NDArray[np.float64]], units: Mapping[str, str]) -> Figure:
-    """Return the picture of channels (n,), SI: command, torque, deflection over time, and torque over deflection."""
+    """Return a figure of channels (n,), SI: command, torque and deflection over time, and torque over deflection."""
     from matplotlib.figure import Figure
 
     channels = {name: np.where(np.abs(values) < LARGEST, values, np.nan) for name, values in channels.items()}

@@ -1,4 +1,4 @@
-"""The pictures of an identification."""
+"""The figures of an identification."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 
 
 def figure(found: Identification) -> Figure:
-    """Return the picture: torque and model over time, residuals, the loop, the test of the model, dynamic stiffness.
+    """Return one figure with everything: torque and model over time, residuals, torque over deflection, lack of fit,
+    dynamic stiffness.
 
-    A line ends where a recording ends, or a gap begins.
+    A line is interrupted between recordings and at gaps.
     """
     from matplotlib.figure import Figure
 
@@ -48,7 +49,7 @@ def figure(found: Identification) -> Figure:
 
 
 def pictures(found: Identification) -> list[Picture]:
-    """Return the pictures of a result one by one, each with its numbers in words."""
+    """Return all pictures of a result, each with its numbers in words."""
     drawn = [*fit_pictures(found), *_residual_pictures(found)]
     text = estimates.intervals_text(found)
     drawn.append(Picture("intervals", "Intervals", text, lambda: estimates.intervals_drawn(found)))
@@ -67,7 +68,7 @@ def pictures(found: Identification) -> list[Picture]:
 
 
 def fit_pictures(found: Identification) -> list[Picture]:
-    """Return the torque beside that of the model: over time, and over the deflection."""
+    """Return two pictures of measured and modelled torque: over time, and over the deflection."""
     traces = Traces.of(found)
     light = traces.thinned()
     return [
@@ -102,7 +103,7 @@ def _residual_pictures(found: Identification) -> list[Picture]:
 
 
 def _dynamic_text(found: Identification, bands: Bands) -> str:
-    """Stiffness, damping and coherence in words."""
+    """Return stiffness, damping and coherence in the bands in words."""
     factor, unit = people_unit("N*m", milli=milli(found))
     ranges = (
         f"{name} {factor * float(values.min()):.4g} to {factor * float(values.max()):.4g} {of}"

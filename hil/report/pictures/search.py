@@ -1,4 +1,6 @@
-"""The search: how fast it converged (the paper's Figure 8), and the fitness over Kc and Bc with its populations."""
+"""Figures of the search: how fast it converged (the paper's Figure 8), and the fitness over Kc and Bc with the
+populations.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ _UNKNOWN = 0.2  # of the value, for half an interval that is not finite
 
 
 def convergence_drawn(found: Identification) -> Figure:
-    """Return the best fitness of every trial over the generations, and how far it is above the exact optimum."""
+    """Return a figure of the best fitness of every trial over the generations, and of its difference from the exact
+    optimum.
+    """
     drawn, panels = canvas(1, 2, (9, 3.8))
     factor, unit = people_unit("N*m", milli=milli(found))
     draw_convergence(found.trials, found.optimum, panels, factor, unit)
@@ -41,7 +45,10 @@ def convergence_drawn(found: Identification) -> Figure:
 
 
 def draw_convergence(trials: Trials, optimum: float, panels: list[Axes], factor: float, unit: str) -> None:
-    """Draw the fitness and the gap. optimum: the exact one, N m. factor, unit: in which people read a torque."""
+    """Draw the best fitness of every trial, and its difference from the exact optimum.
+
+    optimum: fitness of the exact optimum, N m. factor, unit: from SI to the printed unit of torque.
+    """
     history = trials.history
     mean = history.fitness.mean(axis=0)
     gaps = np.maximum(history.fitness / optimum - 1.0, _NO_GAP) if optimum > 0.0 else np.full_like(history.fitness, 1.0)
@@ -62,7 +69,7 @@ def draw_convergence(trials: Trials, optimum: float, panels: list[Axes], factor:
 
 
 def convergence_text(found: Identification) -> str:
-    """Return the convergence in words."""
+    """Return in words how fast the search converged."""
     factor, unit = people_unit("N*m", milli=milli(found))
     history, trials = found.trials.history, found.trials
     first = f"{factor * float(history.fitness[:, 0].mean()):.5g}"
@@ -77,9 +84,9 @@ def convergence_text(found: Identification) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Landscape:
-    """The mean absolute error over Kc and Bc, the other parameters at their optimum.
+    """The mean absolute error of the model over a grid of Kc and Bc, with the other parameters at their optimum.
 
-    error: (b, k) N m. Kc: (k,) N m/rad, of its columns. Bc: (b,) N m s/rad, of its rows.
+    error: (b, k), N m. Kc: values of the columns (k,), N m/rad. Bc: values of the rows (b,), N m s/rad.
     """
 
     Kc: Array
@@ -88,10 +95,10 @@ class Landscape:
 
 
 def landscape(found: Identification, spans: tuple[Span, Span]) -> Landscape:
-    """Return the landscape between these values of Kc and of Bc, SI.
+    """Return the landscape for the ranges `spans` of Kc and Bc, SI.
 
-    A row of Bc whose residuals all have one sign adds a plane; the other rows are summed one by one, or a sample of
-    them if there are many.
+    Samples whose residual has the same sign in the whole landscape contribute a linear function of Kc and Bc. The other
+    samples are summed one by one; if there are many, only a part of them.
     """
     columns, target = linear_problem(found)
     values = found.values[: columns.shape[1]]
@@ -115,13 +122,13 @@ def landscape(found: Identification, spans: tuple[Span, Span]) -> Landscape:
 
 
 def has_landscape(found: Identification) -> bool:
-    """Return whether Kc and Bc are parameters that the model is linear in."""
+    """Return whether Kc and Bc are linear parameters of the model, so that a landscape can be computed."""
     linear = [parameter.name for parameter in found.model.linear]
     return all(name in linear for name in PARAMETERS)
 
 
 def landscape_drawn(found: Identification) -> Figure:
-    """Return the landscape as far as the first population reaches, and about the interval."""
+    """Return a figure of two landscapes: one as wide as the first population, one around the interval of the result."""
     drawn, panels = canvas(1, 2, (9, 4.2))
     far, near = _spans(found)
     _draw_landscape(found, far, panels[0])
@@ -163,13 +170,15 @@ def _place(found: Identification, name: str) -> int:
 
 
 def _population(found: Identification) -> tuple[Array, Array] | None:
-    """The first and the last generation of the best trial; None where Kc and Bc were solved for."""
+    """Return Kc and Bc in the first and in the last generation of the best trial; None if Kc and Bc were computed
+    directly.
+    """
     kept = found.trials.populations
     return None if kept is None else (kept.first, kept.last)
 
 
 def _spans(found: Identification) -> tuple[tuple[Span, Span], tuple[Span, Span]]:
-    """The ranges of Kc and Bc in the far and in the near landscape, SI."""
+    """Return the ranges of Kc and Bc, SI, in the wide landscape and in the narrow landscape."""
     near = [_near(found[name]) for name in PARAMETERS]
     kept = found.trials.populations
     genes = np.empty((0, 0)) if kept is None else kept.first
@@ -191,7 +200,7 @@ def _near(estimate: Estimate) -> Span:
 
 
 def _far(near: Span, middle: float, genes: Array) -> Span:
-    """Return a range around `middle` that contains the genes and the near range."""
+    """Return a range around `middle` that contains all values in `genes` and the range `near`."""
     reach = 1.08 * float(np.abs(genes - middle).max(initial=0.0))
     half = max(reach, near[1] - middle, middle - near[0], _WIDE * abs(middle))
     return middle - half, middle + half

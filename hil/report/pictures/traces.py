@@ -1,4 +1,4 @@
-"""The torque of the recordings beside that of the model: over time, and over the deflection."""
+"""Figures of the measured torque and the model's torque: over time, and over the deflection."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ _ARRAYS: Final = ("time", "measured", "modelled", "residuals", "dtheta")
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """Arrays (n,) as people read them: torques in `unit`, time s, deflection rad; NaN where a line is interrupted."""
+    """The signals of a result for figures: arrays (n,), NaN where a line is interrupted.
+
+    time: s. measured, modelled, residuals: torques in `unit`. dtheta: deflection, rad. model: name of the model.
+    """
 
     time: Array
     measured: Array
@@ -42,7 +45,7 @@ class Traces:
 
     @classmethod
     def of(cls, found: Identification) -> Traces:
-        """Return the traces of a result; a line ends where a recording ends, or a gap begins."""
+        """Return the signals of a result for figures; lines are interrupted between recordings and at gaps."""
         motion, torque, model = found.signals.motion, found.signals.torque, modelled(found)
         factor, unit = people_unit("N*m", milli=milli(found))
         time, measured, calculated, residuals, dtheta = (
@@ -53,11 +56,13 @@ class Traces:
 
     @property
     def error(self) -> str:
-        """How far the torques differ on average, with the unit."""
+        """Return the mean absolute residual, with the unit."""
         return f"{float(np.nanmean(np.abs(self.residuals))):.3g} {self.unit}"
 
     def thinned(self, number: int = _SHOWN) -> Traces:
-        """Return the highest and the lowest residual of each of `number` intervals, so that a page loads quickly."""
+        """Return only the samples with the highest and the lowest residual in each of `number` intervals, so that a
+        page loads quickly.
+        """
         count = len(self.time)
         if count <= 2 * number:
             return self
@@ -67,7 +72,9 @@ class Traces:
         return self._of(np.unique(np.concatenate([np.ravel(ends), np.flatnonzero(np.isnan(self.time))])))
 
     def pieces(self) -> Traces:
-        """Short runs of samples, evenly spread, at most `_LOOP` samples in all, each an uninterrupted line."""
+        """Return short pieces of the signals, evenly distributed, at most `_LOOP` samples in all; each piece is an
+        uninterrupted line.
+        """
         if len(self.time) <= _LOOP:
             return self
         firsts = np.linspace(0, len(self.time) - _RUN, _LOOP // _RUN).astype(np.intp)
@@ -81,13 +88,13 @@ class Traces:
         return replace(self, **{name: getattr(self, name)[kept] for name in _ARRAYS})
 
     def drawn(self) -> Figure:
-        """Return the picture of the torque over time, and of its error."""
+        """Return a figure of measured torque, modelled torque and residuals over time."""
         figure, panels = canvas(2, 1, (9, 5), sharex=True, gridspec_kw={"height_ratios": [2, 1]})
         self.draw(*panels)
         return figure
 
     def draw(self, torque: Axes, residuals: Axes) -> None:
-        """Draw the torque over time, and its error."""
+        """Draw measured and modelled torque over time into panel `torque`, and the residuals into panel `residuals`."""
         torque.plot(self.time, self.measured, lw=0.8, color="0.65", label="measured")
         torque.plot(self.time, self.modelled, lw=0.6, color="C0", label=self.model)
         torque.set(ylabel=f"torque at the joint [{self.unit}]")
@@ -96,20 +103,20 @@ class Traces:
         residuals.set(xlabel="time [s]", ylabel=f"error [{self.unit}]")
 
     def loop_drawn(self) -> Figure:
-        """Return the picture of the torque over the deflection."""
+        """Return a figure of measured and modelled torque over the deflection."""
         figure, (panel,) = canvas(1, 1, (9, 5))
         self.draw_loop(panel)
         panel.legend(loc="upper left")
         return figure
 
     def draw_loop(self, loop: Axes) -> None:
-        """Draw the torque over the deflection."""
+        """Draw measured and modelled torque over the deflection into panel `loop`."""
         loop.plot(self.dtheta, self.measured, lw=1.0, color="0.65", label="measured")
         loop.plot(self.dtheta, self.modelled, lw=0.6, color="C0", label=self.model)
         loop.set(xlabel="deflection [rad]", ylabel=f"torque at the joint [{self.unit}]")
 
     def chart(self) -> Chart | None:
-        """Return the traces to zoom; None for pooled recordings, which share their times."""
+        """Return the signals as a chart that can be zoomed; None for pooled recordings whose times overlap."""
         if not (np.diff(self.time[np.isfinite(self.time)]) > 0.0).all():
             return None
         light = self.thinned(_CHARTED)
@@ -119,13 +126,15 @@ class Traces:
 
 
 def modelled(found: Identification) -> Array:
-    """Return the torque of the model, (n,) N m, for the motion of the recordings."""
+    """Return the model's torque, (n,) N m, for the measured motion."""
     columns, target = linear_problem(found)
     return np.asarray(found.signals.torque - target + columns @ found.values[: columns.shape[1]])
 
 
 def linear_problem(found: Identification) -> tuple[Array, Array]:
-    """Return the columns (n, p) of the linear parameters, and what is left for them of the torque, (n,) N m."""
+    """Return the columns (n, p) of the linear parameters, and the torque (n,), N m, that these parameters must
+    explain.
+    """
     signals, p = found.signals, len(found.model.linear)
     values = found.values
     nonlinear = values[p:]
@@ -135,5 +144,5 @@ def linear_problem(found: Identification) -> tuple[Array, Array]:
 
 
 def _broken(values: Array, starts: tuple[int, ...]) -> Array:
-    """Return the values with a NaN before each piece but the first, where a line is interrupted."""
+    """Return values with a NaN before each piece except the first, so that a drawn line is interrupted there."""
     return np.insert(values, starts[1:], np.nan)
