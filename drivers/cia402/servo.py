@@ -146,7 +146,9 @@ class Cia402Servo:
             self._node.release()
 
     def _set_point(self, torque: float) -> can.Message:
-        """Return the PDO that commands `torque`, N m, converted to counts and clamped to the armed limit."""
+        """Return the PDO that commands `torque`, N m, converted to counts and clamped to the torque limit with which
+        the drive is armed.
+        """
         counts = to_counts(self._config.sign * torque, self._scale.torque)
         return self._node.set_point(ENABLE, max(-self._most, min(self._most, counts)))
 

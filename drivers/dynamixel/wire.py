@@ -31,8 +31,8 @@ _REFUSALS_2 = {
 class Wire2:
     """DYNAMIXEL protocol 2.0.
 
-    dynamixel-sdk does not stuff a request that contains FF FF FD, and unstuffs some replies wrongly. This class does
-    both instead.
+    A packet that contains FF FF FD needs byte stuffing: a byte FD is inserted behind. dynamixel-sdk does not stuff
+    requests and removes the stuffing of some replies wrongly, so this class does both instead.
     """
 
     status_size = 11

@@ -69,7 +69,8 @@ class LoadCell:
         return self._newest
 
     def readings(self) -> list[tuple[float, float]]:
-        """Return times, s, and joint torques, N m, of all readings that arrived since the last call, oldest first.
+        """Return times, s, and joint torques, N m, of all readings that arrived since the last call of this method or
+        of `read`, oldest first.
 
         Raises as `read`.
         """

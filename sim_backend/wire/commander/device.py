@@ -341,8 +341,11 @@ class CommanderDevice:
         )
 
     def _kept_number(self, said: str | None, name: str, value: float | None) -> None:
-        """Store the number in `value`, which has no effect on the motor, and print it. said: text to print before it,
-        None for no text.
+        """Store the number `value` as `name` and print it; it has no effect on the motor. With `value` None, only print
+        the stored number.
+
+        said: text to print before it in the user-friendly mode; None: the command is unknown, and an error is printed
+        instead.
         """
         if said is None:
             self.printer.error()

@@ -32,8 +32,8 @@ _UNREAD = 1.0
 
 @dataclass(frozen=True, slots=True)
 class CommanderTiming:
-    """Durations, s. usb_latency: how long the adapter holds bytes back. loop: period of the board's program, which
-    reads commands once in each loop. boot: time from a reset until the board receives commands.
+    """Durations, s. usb_latency: how long the adapter holds bytes back. loop: one loop of the board's program, which
+    reads commands between two loops. boot: time from a reset until the board receives commands.
     """
 
     usb_latency: float = 1e-3

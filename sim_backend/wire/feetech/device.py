@@ -246,7 +246,9 @@ class FeetechDevice:
         return (CURRENT_POSITION, SPEED, third, fourth)[self.get("operating_mode")]
 
     def _goal(self) -> int:
-        """Return the goal position in counts over any number of turns: the one nearest to the servo's present turn."""
+        """Return the goal position in counts: clamped to the position limits, in the servo's present turn. If both
+        limits are 0, the goal counts over any number of turns and is not clamped.
+        """
         goal, low, high = (self.get(n) for n in ("goal_position", "min_position_limit", "max_position_limit"))
         if low == high == 0:
             return goal

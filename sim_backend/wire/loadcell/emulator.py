@@ -134,7 +134,9 @@ class EmulatedLoadCell:
 
 
 def _misread(line: bytes, ratio: float) -> bytes:
-    """Return the bytes that a host with another baud rate receives for `line`: they are not text."""
+    """Return the bytes that a host with a wrong baud rate receives instead of `line`: they are not text. ratio: the
+    board's baud rate divided by the host's.
+    """
     return bytes(0x80 | (byte * 37 & 0x7F) for byte in line)[: max(1, round(len(line) / max(1.0, ratio)))]
 
 

@@ -38,7 +38,9 @@ DISABLED, ENABLED = 0, 1
 OVER_CURRENT = {False: 2, True: 10}
 TOO_HOT = {False: 1, True: 12}
 LOST_COMMUNICATION = 13
-"""Error codes, for an AK (False) and for a Damiao (True)."""
+"""The error of a Damiao's timeout. Where an error code above depends on the family, it is given for an AK (False) and
+for a Damiao (True).
+"""
 
 _AK_HOTTEST = 100.0
 

@@ -142,7 +142,12 @@ def console(channel: int, text: bytes) -> bytes:
 
 
 def counted(value: float, unit: tuple[float, float, float] | None, kind: int) -> float:
-    """Return a value in counts as it is sent: limited to the range of `kind`; NaN becomes the lowest count."""
+    """Return a value in counts of the encoding `kind`, as it is sent. unit: value of one count as int8, int16 and
+    int32.
+
+    Counts are limited to the range of `kind`; NaN becomes the lowest count. Without a unit the value itself is the
+    count and wraps at the range.
+    """
     if kind == FLOAT:
         return value
     if unit is None:
@@ -154,7 +159,9 @@ def counted(value: float, unit: tuple[float, float, float] | None, kind: int) ->
 
 
 def valued(raw: float, unit: tuple[float, float, float] | None, kind: int) -> float:
-    """Return the value of received counts: the inverse of `counted`."""
+    """Return the value of the received counts `raw` in the encoding `kind`; the lowest count means NaN. unit: value of
+    one count as int8, int16 and int32.
+    """
     if kind == FLOAT or unit is None:
         return float(raw)
     return math.nan if raw == -LARGEST[kind] - 1 else raw * unit[kind]

@@ -288,8 +288,8 @@ class OdriveDevice:
             self._control()
 
     def _configured(self, command: int, first: float, second: float, words: tuple[int, int]) -> None:
-        """Execute a command that changes the configuration. first, second, words: the data of the frame in different
-        layouts.
+        """Execute a command that changes the configuration. first, second: the frame's data decoded as two floats.
+        words: the same data decoded as two integers.
         """
         controller = "axis0.controller.config."
         changes: dict[int, dict[str, float]] = {
