@@ -48,6 +48,7 @@ from sim_backend.wire.moteus import device as moteus  # noqa: E402
 from sim_backend.wire.moteus.command import TORQUE_CONSTANT  # noqa: E402
 from sim_backend.wire.odrive import device as odrive  # noqa: E402
 from sim_backend.wire.packets.regulator import joint_at_horn  # noqa: E402
+from sim_backend.wire.robstride.tables import MODELS as ROBSTRIDE  # noqa: E402
 
 KC, BC = 17.75e-3, 0.19e-3
 COUPLING = CouplingParameters(stiffness=KC, damping=BC, coulomb_friction=0.0)
@@ -212,6 +213,16 @@ def benches() -> list[Bench]:
                 MIT[model].resistance,
             )
             for model in ("ak80-9", "dm-j4310")
+        ),
+        *(
+            on_can(
+                f"robstride {model}",
+                lambda joint, model=model: RIGS.robstride_rig(model, parameters=joint),
+                ROBSTRIDE[model].scale,
+                ROBSTRIDE[model].torque_constant,
+                ROBSTRIDE[model].resistance,
+            )
+            for model in ("rs00", "rs03", "el05")
         ),
         Bench(**(moteus_bench.__dict__ | {"position": (("mode", "position"),)})),
         *(

@@ -115,6 +115,37 @@ def of_moteus(link: str, _model: str) -> None:
     asyncio.run(asyncio.wait_for(talk(), 20.0))
 
 
+def of_robstride(link: str, _model: str) -> None:
+    """A client for any bus of python-can."""
+    import can
+    from robstride import Client
+
+    with can.Bus(interface="slcan", channel=link, bitrate=BAUD, ignore_config=True) as bus:
+        client = Client(bus)
+        client.enable(1)
+        client.write_param(1, "limit_torque", 2.5)
+        require(client.read_param(1, "limit_torque") == 2.5, "the torque limit is not read back")
+        client.read_param(1, "mechpos")
+        client.disable(1)
+
+
+def of_robstride_dynamics(link: str, model: str) -> None:
+    """The maker's client, on another bus than SocketCAN."""
+    import can
+    from robstride_dynamics import Motor, ParameterType, RobstrideBus
+
+    client = RobstrideBus("none", {"joint": Motor(id=1, model=f"{model[:2]}-{model[2:]}")})
+    client.channel_handler = can.Bus(interface="slcan", channel=link, bitrate=BAUD, ignore_config=True)
+    try:
+        require(client.read_id("joint", timeout=5.0) is not None, "no identity")
+        client.enable("joint")
+        client.write_operation_frame("joint", position=0.0, kp=0.0, kd=0.0, torque=0.2)
+        client.read_operation_frame("joint")
+        require(client.read("joint", ParameterType.MODE) == 0, "no operation mode")
+    finally:
+        client.disconnect()
+
+
 def of_odrive_can(link: str, _model: str) -> None:
     """The package's driver, whose messages are those of firmware 0.5.6."""
     import can
@@ -270,6 +301,8 @@ SESSIONS = [
     Session("lerobot", "feetech", ["sts3215", "sts3250", "scs0009"], of_lerobot("feetech")),
     Session("feetech-servo-sdk", "feetech", FEETECH_MODELS, of_feetech_sdk),
     Session("moteus", "moteus", ["moteus"], of_moteus),
+    Session("robstride", "robstride", ["rs01"], of_robstride),
+    Session("robstride-dynamics", "robstride", [f"rs0{number}" for number in range(7)], of_robstride_dynamics),
     Session("odrive-can", "odrive", ["0.5.6"], of_odrive_can),
     Session("canopen", "cia402", ["epos4", "epos2", "generic"], of_canopen),
     Session("damiao-motor", "mit", list(DAMIAO), of_damiao_motor),

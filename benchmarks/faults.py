@@ -132,6 +132,7 @@ ADAPTERS: Mapping[str, Callable[[FaultPlan], Stand]] = {
     "commander": wired(rigs.new_foc, rigs.SIM_LIMITS, can=False),
     "odrive": wired(rigs.odrive_rig, rigs.ODRIVE_LIMITS, can=True),
     "mit": wired(rigs.mit_rig, rigs.MIT_LIMITS, can=True),
+    "robstride": wired(rigs.robstride_rig, rigs.MIT_LIMITS, can=True),
     "moteus": wired(rigs.moteus_rig, rigs.MIT_LIMITS, can=True),
     "cia402": wired(rigs.cia402_rig, rigs.CIA402_LIMITS, can=True),
 }

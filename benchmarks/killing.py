@@ -92,6 +92,8 @@ ADAPTERS = (
     _can("mit Damiao", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.1\n', 2.0),
     _can("mit Damiao, no watchdog", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.0\n', 2.0),
     _can("mit AK", ("mit", "--model", "ak80-9"), 'model = "ak80-9"\n', 2.0),
+    _can("robstride", ("robstride",), 'model = "rs00"\nwatchdog = 0.1\n', 2.0),
+    _can("robstride, no watchdog", ("robstride",), 'model = "rs00"\nwatchdog = 0.0\n', 2.0),
     _can("moteus", ("moteus",), "watchdog = 0.1\n", 0.4),
     _can("cia402 EPOS4", ("cia402",), 'profile = "epos4"\nwatchdog = 0.1\n', 0.04),
     _can("cia402 EPOS4, no watchdog", ("cia402",), 'profile = "epos4"\nwatchdog = 0.0\n', 0.04),

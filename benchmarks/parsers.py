@@ -33,6 +33,7 @@ from drivers.moteus import frames as moteus
 from drivers.odrive import messages as odrive
 from drivers.packets.port import SerialPort
 from drivers.packets.wire import Wire, Wire1
+from drivers.robstride.frames import Codec as RobstrideCodec
 from drivers.servo import DriverError, ServoInfo
 from drivers.uart.lines import TextLines
 from ga.bounds import Bounds
@@ -126,6 +127,7 @@ def _odrive(data: bytes) -> None:
 
 
 _ODRIVE = (odrive.Codec(3, "0.5"), odrive.Codec(3, "0.6"))
+_ROBSTRIDE = RobstrideCodec(12.5, 33.0, 14.0)
 _MIT = (MitCodec("damiao", 12.5, 30.0, 10.0), MitCodec("cubemars", 12.5, 30.0, 10.0))
 _BLOCKS = {name: Block(model) for name, model in feetech_models().items()}
 
@@ -136,6 +138,13 @@ def _mit(data: bytes) -> None:
             state = codec.state(data)
             assert abs(state.position) <= 12.5 + 1e-9
             assert abs(state.torque) <= 10.0 + 1e-9
+
+
+def _robstride(data: bytes) -> None:
+    with declining():
+        state = _ROBSTRIDE.state(int.from_bytes(data[:2], "big"), data[2:])
+        assert not abs(state.position) > 12.5 + 1e-9
+        assert abs(state.torque) <= 14.0 + 1e-9
 
 
 def _moteus(data: bytes) -> None:
@@ -260,6 +269,7 @@ PARSERS: dict[str, Parser] = {
     "dynamixel 1, feetech": Parser(_packets(Wire1(ALERTS)), (b"\xff\xff\x01\x04\x00\x18\x05\xdd",)),
     "feetech block": Parser(_feetech, (bytes(range(20)),)),
     "mit": Parser(_mit, (bytes.fromhex("117fff7ff7ff1e1f"), bytes.fromhex("017fff7ff7ff"))),
+    "robstride": Parser(_robstride, (bytes.fromhex("8001a6d4808c7fff0140"),)),
     "moteus": Parser(_moteus, (bytes.fromhex("2400000a000000ff7f0000230d181e0050"), b"\x41\x01\x03abc")),
     "odrive": Parser(_odrive, (bytes(8), struct.pack("<ff", 1.0, 2.0))),
     "board lines": Parser(_lines, (b"1.00000;0.1;2\n1.00000\n", b"123456,-4567\n", b"12.5*3f\r\n"), is_text=True),

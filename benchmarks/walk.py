@@ -238,7 +238,7 @@ def argument(generator: random.Random, name: str, files: list[str]) -> str:
     """Return a value for an argument."""
     if name in {"family", "kind"}:
         return generator.choice(
-            ("dynamixel", "feetech", "cia402", "odrive", "mit", "moteus", "commander", "loadcell", "x")
+            ("dynamixel", "feetech", "cia402", "odrive", "mit", "robstride", "moteus", "commander", "loadcell", "x")
         )
     return generator.choice((*files, *files, "missing.h5", "", "-", "/dev/zero", "/dev/null", "/", ".", "*.h5"))
 

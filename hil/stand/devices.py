@@ -110,6 +110,11 @@ BACKENDS: Mapping[str, Device] = _Devices(
         "mit": Device(
             "CubeMars AK, Damiao: MIT frames on CAN", "drivers.mit.config:MitConfig", "drivers.mit.servo:MitServo"
         ),
+        "robstride": Device(
+            "RobStride RS00 to RS06, EduLite 05 (private protocol)",
+            "drivers.robstride.config:RobstrideConfig",
+            "drivers.robstride.servo:RobstrideServo",
+        ),
         "moteus": Device("moteus on CAN FD", "drivers.moteus.config:MoteusConfig", "drivers.moteus.servo:MoteusServo"),
         "cia402": Device(
             "CiA 402 drives on CANopen: EPOS4, EPOS2, others",

@@ -10,6 +10,8 @@ from sim_backend.wire.mit import tables as mit_tables
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.odrive.device import OdriveDevice
+from sim_backend.wire.robstride import tables as robstride_tables
+from sim_backend.wire.robstride.device import RobstrideDevice
 
 
 def _axis(firmware: str, ident: int, parameters: SimParameters | None, now: float) -> OdriveDevice:
@@ -18,6 +20,10 @@ def _axis(firmware: str, ident: int, parameters: SimParameters | None, now: floa
 
 def _motor(model: str, ident: int, parameters: SimParameters | None, now: float) -> MitDevice:
     return MitDevice(model, ident, parameters=parameters, now=now)
+
+
+def _actuator(model: str, ident: int, parameters: SimParameters | None, now: float) -> RobstrideDevice:
+    return RobstrideDevice(model, ident, parameters=parameters, now=now, serial=0x3130_4D51_3230_0000 + ident)
 
 
 def _controller(_model: str, ident: int, parameters: SimParameters | None, now: float) -> MoteusDevice:
@@ -32,5 +38,6 @@ def _drive(model: str, ident: int, parameters: SimParameters | None, now: float)
 
 odrive = CanFamily("ODrive firmware", ("0.5.6", "0.6.10", "0.6.11"), "0.6.10", _axis, first=0)
 mit = CanFamily("motor", tuple(sorted(mit_tables.MODELS)), "dm-j4310", _motor)
+robstride = CanFamily("RobStride motor", tuple(robstride_tables.MODELS), "rs00", _actuator)
 moteus = CanFamily("controller", ("moteus",), "moteus", _controller)
 cia402 = CanFamily("CiA 402 drive", tuple(cia402_tables.MODELS), "epos4", _drive)

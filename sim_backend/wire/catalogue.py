@@ -76,6 +76,7 @@ EMULATORS: Mapping[str, Emulator] = MappingProxyType(
         "feetech": _on_a_pty("a Feetech servo", "feetech", _PACKETS),
         "odrive": _on_can("an ODrive", "odrive"),
         "mit": _on_can("a CubeMars AK or Damiao motor", "mit"),
+        "robstride": _on_can("a RobStride motor", "robstride"),
         "moteus": _on_can("a moteus", "moteus", "CAN FD"),
         "cia402": _on_can("a CiA 402 drive", "cia402"),
         "commander": _on_a_pty("a SimpleFOC board", "commander", "sim_backend.wire.commander.emulator:CommanderTiming"),

@@ -33,6 +33,8 @@ from drivers.moteus.servo import MoteusServo
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.packets.port import SerialPort
+from drivers.robstride.config import RobstrideConfig
+from drivers.robstride.servo import RobstrideServo
 from drivers.servo import Limits, Servo
 from hil.doctor.stop_path import answered
 from hil.stand.file import load
@@ -55,6 +57,7 @@ from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.packets.bus import PacketBus, PacketTiming
+from sim_backend.wire.robstride.device import RobstrideDevice
 from sim_backend.wire.uart.pty_line import PtyLine
 
 from ..loopback import CanLoopback, SerialLoopback
@@ -177,6 +180,11 @@ def mit_rig(model: str = "dm-j4310", **device: Any) -> Rig:
     return can_rig(MitServo, config, [MitDevice(model, **device)])
 
 
+def robstride_rig(model: str = "rs00", **device: Any) -> Rig:
+    config = RobstrideConfig(interface="loopback", channel="", model=model)
+    return can_rig(RobstrideServo, config, [RobstrideDevice(model, **device)])
+
+
 def moteus_rig(**device: Any) -> Rig:
     return can_rig(MoteusServo, MoteusConfig(interface="loopback", channel=""), [MoteusDevice(**device)])
 
@@ -223,6 +231,7 @@ def maker(name: str, make: Callable[..., Rig]) -> Any:
 
 make_rig, make_feetech = maker("make_rig", new_rig), maker("make_feetech", feetech_rig)
 make_odrive, make_mit = maker("make_odrive", odrive_rig), maker("make_mit", mit_rig)
+make_robstride = maker("make_robstride", robstride_rig)
 make_moteus, make_cia402 = maker("make_moteus", moteus_rig), maker("make_cia402", cia402_rig)
 make_foc = maker("make_foc", new_foc)
 
@@ -331,6 +340,7 @@ IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
     "odrive 0.6.10": lambda: wired_rig(odrive_rig("0.6.10"), ODRIVE_LIMITS),
     "mit ak80-9": lambda: wired_rig(mit_rig("ak80-9"), MIT_LIMITS),
     "mit dm-j4310": lambda: wired_rig(mit_rig("dm-j4310"), MIT_LIMITS),
+    "robstride": lambda: wired_rig(robstride_rig(), MIT_LIMITS),
     "moteus": lambda: wired_rig(moteus_rig(), ODRIVE_LIMITS),
     "cia402 epos4": lambda: wired_rig(cia402_rig("epos4"), CIA402_LIMITS),
     "cia402 epos2": lambda: wired_rig(cia402_rig("epos2"), CIA402_LIMITS),

@@ -27,6 +27,7 @@ from drivers.mit.frames import RESTARTED as MIT_RESTARTED
 from drivers.moteus.frames import RESTARTED as MOTEUS_RESTARTED
 from drivers.moteus.frames import WATCHDOG as MOTEUS_WATCHDOG
 from drivers.odrive.messages import RESTARTED as ODRIVE_RESTARTED
+from drivers.robstride import frames as robstride_frames
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity, Sample
 from drivers.uart.port import POLL
 from sim_backend.wire.canopen.node import HEARTBEAT_LOST
@@ -54,6 +55,7 @@ from sim_backend.wire.moteus import device as moteus
 from sim_backend.wire.moteus.command import POSITION as MOTEUS_POSITION
 from sim_backend.wire.odrive import device as odrive
 from sim_backend.wire.odrive.endpoints import flat_endpoints
+from sim_backend.wire.robstride import device as robstride
 
 from .conftest import marks_of, sampled
 
@@ -178,6 +180,19 @@ def mit_ages(rig: Rig, servo: Any) -> Fresh:
 
     rig.device._state = frame
     return lambda s: made[round((s.motor_position + 12.5) / servo.info.position_lsb) - 20_001] >= s.t
+
+
+def robstride_ages(rig: Rig, servo: Any) -> Fresh:
+    made: list[float] = []
+    feedback = rig.device._feedback
+
+    def frame(kind: int = 2) -> Any:
+        made.append(rig.clock.now())
+        reply = feedback(kind)
+        return replace(reply, data=(20_000 + len(made)).to_bytes(2, "big") + reply.data[2:])
+
+    rig.device._feedback = frame
+    return lambda s: made[round(s.motor_position / servo.info.position_lsb + 0x7FFF + 0.5) - 20_001] >= s.t
 
 
 def moteus_ages(rig: Rig, _servo: Any) -> Fresh:
@@ -487,6 +502,33 @@ MOTEUS = Drive(
     watch=Watch(0.095, 0.01, "received nothing", MOTEUS_WATCHDOG),
 )
 
+ROBSTRIDE = Drive(
+    "make_robstride",
+    (),
+    Limits(torque=2.0, velocity=20.0, temperature=85.0, position=(-3.0, 3.0)),
+    1.0,
+    fresh=robstride_ages,
+    restarted=robstride_frames.RESTARTED,
+    left_on=lambda rig: rig.motor.enable(),
+    ignore_off=sets("ignores_stop"),
+    damages=cut_short(0, 3, 7),
+    lates=each(0.001, 0.027, 0.001),
+    random=(DelayReplies, DropReplies, TruncateReplies, DropRequests),
+    links=GONE,
+    absent=(9, r"no motor 9 answers.*1000000 bit/s.*termination"),
+    twins=(another(lambda: robstride.RobstrideDevice(serial=7)), another(robstride.RobstrideDevice, _zero=1.0)),
+    twice=3,
+    latched=tuple(
+        DeviceError(fails(bit), words, robstride_frames.REPORTED | bit)
+        for bit, words in ((robstride.STALL, "too high for too long"), (robstride.OVERVOLTAGE, "voltage is too high"))
+    ),
+    running=DeviceError(fails(robstride.DRIVER), "driver chip", robstride_frames.REPORTED | robstride.DRIVER),
+    hot=DeviceError(warms_to(146.0), "too hot", robstride_frames.REPORTED | robstride.OVERHEAT),
+    refused=(lambda rig: rig.device.refused.add("canTimeout"), "keeps 0 in canTimeout where 2000 was written"),
+    watch=Watch(0.095, 0.01, "received nothing", robstride_frames.WATCHDOG),
+    ageless=5,
+)
+
 BOARD = Drive(
     "make_foc",
     (),
@@ -536,6 +578,7 @@ DRIVES = {
         refused=(lambda rig: rig.device.refused.add(9), "keeps 0 in timeout where 2000 was written"),
         watch=Watch(0.095, 0.01, "received nothing", mit.LOST_COMMUNICATION),
     ),
+    "robstride": ROBSTRIDE,
     "moteus": MOTEUS,
     **{f"cia402 {model}": a_cia402_drive(model) for model in ("epos4", "epos2", "generic")},
     "commander": BOARD,

@@ -20,7 +20,7 @@ from .conftest import sampled
 LIMITS = Limits(torque=0.02, velocity=60.0, temperature=85.0, position=(-8.0, 8.0))
 PUSH = Command(Quantity.TORQUE, 0.005)
 LATE = 0.012  # s: after the deadline of every drive, and within the next tick's
-SERIAL, CAN = ("rig", "mx", "feetech", "foc"), ("odrive", "mit", "moteus", "cia402")
+SERIAL, CAN = ("rig", "mx", "feetech", "foc"), ("odrive", "mit", "moteus", "cia402", "robstride")
 CHECKED = ("rig", "mx", "feetech")  # their packets have a checksum
 
 Mangled = Callable[[list[Any]], list[Any]]

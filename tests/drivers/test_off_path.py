@@ -19,7 +19,16 @@ from sim_backend.wire.odrive.endpoints import flat_endpoints
 from .conftest import IN_VIRTUAL_TIME, ODRIVE_LIMITS, Wired, odrive_rig, sampled, wired_rig
 
 SERIAL = ("dynamixel", "dynamixel mx", "feetech hls", "commander")
-CAN = ("odrive 0.5.6", "odrive 0.6.10", "mit ak80-9", "mit dm-j4310", "moteus", "cia402 epos4", "cia402 epos2")
+CAN = (
+    "odrive 0.5.6",
+    "odrive 0.6.10",
+    "mit ak80-9",
+    "mit dm-j4310",
+    "robstride",
+    "moteus",
+    "cia402 epos4",
+    "cia402 epos2",
+)
 
 
 def driven(name: str) -> Wired:
@@ -125,7 +134,9 @@ def killed_while_arming(wired: Wired, writes: int) -> list[OffPath]:
     return paths
 
 
-@pytest.mark.parametrize("name", ["dynamixel", "dynamixel mx", "feetech hls", "mit dm-j4310", "moteus", "cia402 epos4"])
+@pytest.mark.parametrize(
+    "name", ["dynamixel", "dynamixel mx", "feetech hls", "mit dm-j4310", "robstride", "moteus", "cia402 epos4"]
+)
 def test_a_drive_has_its_settings_again_whichever_of_them_was_the_last_written_before_a_kill(name: str) -> None:
     closed = IN_VIRTUAL_TIME[name]()
     closed.servo.close()

@@ -25,6 +25,7 @@ from .conftest import (
     new_foc,
     new_rig,
     odrive_rig,
+    robstride_rig,
     sampled,
 )
 
@@ -36,6 +37,7 @@ RIGS: dict[str, tuple[Callable[[], Any], Limits]] = {
     "odrive 0.6.10": (lambda: odrive_rig("0.6.10"), ODRIVE_LIMITS),
     "mit ak80-9": (lambda: mit_rig("ak80-9"), MIT_LIMITS),
     "mit dm-j4310": (lambda: mit_rig("dm-j4310"), MIT_LIMITS),
+    "robstride": (robstride_rig, MIT_LIMITS),
     "moteus": (moteus_rig, ODRIVE_LIMITS),
     "cia402 epos4": (lambda: cia402_rig("epos4"), CIA402_LIMITS),
     "commander": (new_foc, SIM_LIMITS),

@@ -24,7 +24,8 @@ def parsers() -> Any:
 
 
 NAMES = (
-    "dynamixel 2", "dynamixel 1, feetech", "feetech block", "mit", "moteus", "odrive", "board lines", "stand", "plan",
+    "dynamixel 2", "dynamixel 1, feetech", "feetech block", "mit", "robstride", "moteus", "odrive", "board lines",
+    "stand", "plan",
     "faults", "csv", "csv.gz", "plotjuggler", "mat", "mcap", "weights", "heat", "journal", "result", "checkpoint",
     "quantity", "row filter",
 )  # fmt: skip

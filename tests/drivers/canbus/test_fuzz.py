@@ -33,7 +33,7 @@ def mangled(frame: CanFrame, rng: np.random.Generator) -> CanFrame:
 
 
 @sampled(5)
-@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402"])
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402", "robstride"])
 def test_whatever_arrives_only_named_errors_come_out_and_the_torque_goes_off(
     request: pytest.FixtureRequest, kind: str, nth: int
 ) -> None:
@@ -78,7 +78,7 @@ def damaged(frame: CanFrame, rng: np.random.Generator) -> CanFrame:
 
 
 @sampled(5)
-@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402"])
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402", "robstride"])
 def test_damaged_replies_while_it_is_opened_armed_and_stopped_raise_only_named_errors(
     request: pytest.FixtureRequest, kind: str, nth: int
 ) -> None:

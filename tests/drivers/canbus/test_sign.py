@@ -10,8 +10,19 @@ import pytest
 
 from drivers.servo import Command, Quantity
 from sim_backend.wire.mit.tables import MODELS as MIT_MODELS
+from sim_backend.wire.robstride.tables import MODELS as ROBSTRIDE_MODELS
 
-from ..conftest import CIA402_LIMITS, MIT_LIMITS, ODRIVE_LIMITS, Rig, cia402_rig, mit_rig, moteus_rig, odrive_rig
+from ..conftest import (
+    CIA402_LIMITS,
+    MIT_LIMITS,
+    ODRIVE_LIMITS,
+    Rig,
+    cia402_rig,
+    mit_rig,
+    moteus_rig,
+    odrive_rig,
+    robstride_rig,
+)
 
 STIFFNESS = 17.75e-3  # of the paper's joint, N m/rad
 TURN = 2.0 * math.pi
@@ -36,6 +47,14 @@ DRIVES: dict[str, tuple[Callable[[], Rig], Any, float, float, float, float]] = {
         )
         for model in ("ak80-9", "dm-j4310")
     },
+    "robstride": (
+        robstride_rig,
+        MIT_LIMITS,
+        1.0,
+        ROBSTRIDE_MODELS["rs00"].scale,
+        6.0 * 14.0 / 65535,
+        8.0 * math.pi / 65535,
+    ),
     "moteus": (moteus_rig, ODRIVE_LIMITS, 0.2, 20.0, 2e-3, TURN / 16384),
 }
 

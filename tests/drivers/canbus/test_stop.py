@@ -16,7 +16,7 @@ LIMITS = Limits(torque=0.4, velocity=60.0, temperature=85.0, position=(-3.0, 3.0
 PUSH = Command(Quantity.TORQUE, 0.2)
 
 
-@pytest.fixture(params=["odrive", "mit", "moteus", "cia402"])
+@pytest.fixture(params=["odrive", "mit", "moteus", "cia402", "robstride"])
 def pushing(request: pytest.FixtureRequest) -> tuple[Any, Any]:
     make: Callable[..., Any] = request.getfixturevalue(f"make_{request.param}")
     rig = make()
@@ -61,7 +61,7 @@ def test_torque_off_goes_out_though_the_bus_never_falls_silent(pushing: tuple[An
     assert not rig.device.motor.enabled
 
 
-@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402"])
+@pytest.mark.parametrize("kind", ["odrive", "mit", "moteus", "cia402", "robstride"])
 def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(
     request: pytest.FixtureRequest, kind: str
 ) -> None:
@@ -71,7 +71,7 @@ def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(
     before.arm(LIMITS)
     before.exchange(PUSH)
     assert rig.device.motor.enabled
-    rig.bus.faults.inject(DuplicateReplies())
+    rig.bus.faults.inject(DuplicateReplies(count=3))
     with pytest.raises(BadReply, match="answers twice"):
         rig.open()
     assert not rig.device.motor.enabled

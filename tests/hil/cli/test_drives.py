@@ -89,6 +89,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     [
         pytest.param("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000", marks=pytest.mark.study),
         ("mit", 100.0, 'model = "dm-j4310"'),
+        pytest.param("robstride", 140.0, 'model = "rs00"', marks=pytest.mark.study),
         pytest.param("moteus", 20.0, "", marks=pytest.mark.study),
         pytest.param("cia402", 2.0, 'profile = "epos4"', marks=pytest.mark.study),
     ],

@@ -57,6 +57,7 @@ WATCHED: dict[str, tuple[Callable[[], Rig], float]] = {
     "dynamixel": (rigs.new_rig, 0.03),
     "commander": (with_watchdog, 4e-3),
     "mit damiao": (rigs.mit_rig, 2.0),
+    "robstride": (rigs.robstride_rig, 2.0),
     "moteus": (rigs.moteus_rig, 0.4),
     "cia402 epos4": (rigs.cia402_rig, 0.04),
     "cia402 epos2": (lambda: rigs.cia402_rig("epos2"), 0.04),

@@ -1,0 +1,1 @@
+"""RobStride motors on CAN, in the maker's private protocol."""

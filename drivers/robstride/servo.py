@@ -1,0 +1,169 @@
+"""A RobStride motor in its private protocol as a `drivers.servo.Servo`. Limits: docs/can.md.
+
+A tick is one frame each way: an operation frame with a torque and both gains zero, and a feedback with angle, velocity,
+torque and mode. Operation mode is used and not current mode, in which a set-point is the write of a parameter in A
+whose torque depends on the motor's constant. No torque is sent to a motor that is not armed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from drivers.canbus.link import CanLink
+from drivers.clock import Clock, MonotonicClock
+from drivers.gate import Gate
+from drivers.robstride.config import RobstrideConfig
+from drivers.robstride.frames import RESTARTED, RUNNING, STOPPED, WATCHDOG, RobstrideState, fault, models
+from drivers.robstride.motor import RobstrideMotor
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import can
+
+    from drivers.off_path import OffPath
+
+_QUANTITIES = frozenset({Quantity.TORQUE})
+_TIMEOUT_LSB = 1.0 / 20_000.0
+
+
+class RobstrideServo:
+    """One motor, opened, identified, and with its torque off.
+
+    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml gives
+    the scale. Raises DriverError if the bus cannot be opened, or for another model or protocol, NoReply if no motor
+    replies, BadReply where several do, DeviceFault where another program commands it.
+    """
+
+    def __init__(self, config: RobstrideConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        self._config = config
+        self._timeout = float(math.ceil(config.watchdog / _TIMEOUT_LSB - 1e-9))
+        self.clock: Clock = clock or MonotonicClock()
+        self._link = CanLink(config.bus, self.clock, bus)
+        self._motor = RobstrideMotor(config, self._link, self.clock)
+        self._gate = Gate(
+            self._link.name,
+            _QUANTITIES,
+            torque_off=self._torque_off,
+            release=self._link.close,
+            repeats=self._motor.requests.repeats,
+        )
+        with self._gate.opening(self._motor.send_stop):
+            self.info = self._describe(*self._motor.identify())
+        self._gate.live = False
+
+    def arm(self, limits: Limits) -> None:
+        """Write operation mode, torque limit and watchdog, read each back, and let the motor run at zero torque.
+
+        Raises DeviceFault where a fault is latched or another program commands the motor, DriverError if a parameter is
+        refused or the torque limit is below one count; the torque is off then.
+        """
+        if limits.torque < self.info.torque_lsb:
+            raise DriverError(
+                f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
+                f"{self.info.torque_lsb:.3g} N m: raise it or take a smaller motor"
+            )
+        with self._gate.arming(limits):
+            motor, settings = self._motor, self._motor.settings
+            motor.forget()
+            self._check(motor.stop())
+            settings.require("run_mode", 0.0)
+            most = limits.torque / self._config.torque_scale
+            settings.require("limit_torque", min(motor.get("limit_torque"), most))
+            if self._config.watchdog:
+                settings.require("canTimeout", self._timeout)
+            self._check(motor.enable())
+            if motor.drive(motor.codec.torque_counts(0.0)).mode != RUNNING:
+                raise DriverError("the motor refuses to run: switch its power off and on")
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state in one round trip.
+
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor reports a fault, stopped by
+        itself, was restarted, or is commanded by another program.
+        """
+        admitted = self._gate.admit(command)
+        counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
+        sent = self.clock.now()
+        if counts is not None:
+            state = self._motor.drive(counts)
+        else:
+            state = self._motor.look() if self._gate.live else self._motor.stop()
+        received = self.clock.now()
+        self._check(state)
+        if math.isnan(state.position):
+            raise BadReply("the angle is at the end of its range: set the motor's zero near the middle of the travel")
+        sign = self._config.sign
+        return Sample(
+            t=sent,
+            t_read=0.5 * (sent + received),
+            motor_position=sign * state.position,
+            motor_velocity=sign * state.velocity,
+            motor_torque=sign * state.torque * self._config.torque_scale,
+            temperature=state.temperature,
+            status=Status.SATURATED if saturated or admitted.clipped else Status(0),
+        )
+
+    def disarm(self) -> None:
+        """Stop the motor until a feedback confirms it. Raises as `Gate.disarm`."""
+        self._gate.disarm()
+
+    def close(self) -> None:
+        """Switch the torque off, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
+        self._gate.close(self._motor.settings.restore)
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
+
+    def off_path(self) -> OffPath:
+        """See `drivers.off_path`."""
+        return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path`."""
+        self._motor.settings.journal = journal
+
+    def _torque_off(self, _request: int) -> None:
+        self._motor.send_stop()  # before `stop`, which waits for replies that are still due
+        if self._motor.stop().mode != STOPPED:
+            self._motor.drive(self._motor.codec.torque_counts(0.0))  # it may still obey that
+            raise DriverError("it still runs")
+
+    def _describe(self, serial: str, version: tuple[int, ...]) -> ServoInfo:
+        codec, scale = self._motor.codec, self._config.torque_scale
+        model = models()[self._config.model]
+        return ServoInfo(
+            backend="robstride",
+            model=self._config.model,
+            serial=serial,
+            firmware=".".join(map(str, version)),
+            quantities=_QUANTITIES,
+            position_lsb=codec.position_lsb,
+            velocity_lsb=codec.velocity_lsb,
+            torque_lsb=codec.torque_lsb * scale,
+            torque_uncertainty=model.torque_uncertainty if scale == 1.0 else math.nan,
+            watchdog=self._config.watchdog,
+            watchdog_remedy="set robstride.watchdog = 0.1",
+        )
+
+    def _counts(self, torque: float) -> tuple[int, bool]:
+        """Return the counts of `torque` N m, and whether the motor's range clipped it."""
+        codec = self._motor.codec
+        asked = self._config.sign * torque / self._config.torque_scale
+        return codec.torque_counts(asked), abs(asked) > codec.torque_lsb * 0x7FFF
+
+    def _check(self, state: RobstrideState) -> None:
+        """Raise DeviceFault for a fault, another program's command, and a motor that does not run while armed."""
+        self._motor.check_host()
+        if state.faults or self._motor.reported:
+            raise fault(state.faults, self._motor.reported)
+        if not self._gate.armed or state.mode == RUNNING:
+            return
+        # a restarted motor has lost the time that was written
+        if self._config.watchdog and self._motor.get("canTimeout") == self._timeout:
+            silence = f"it received nothing for its canTimeout of {self._config.watchdog:g} s"
+            raise DeviceFault(WATCHDOG, f"the motor stopped: {silence}; find out what delayed the computer or the bus")
+        raise DeviceFault(RESTARTED, "the motor stopped without a fault: it was restarted; check its supply and plug")

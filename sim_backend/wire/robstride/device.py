@@ -1,0 +1,305 @@
+"""One RobStride motor on a CAN bus, with the plant at its output.
+
+Sources: as in `robstride.tables`, and what was measured on real motors in the pull requests of lerobot (4070) and
+motorbridge (10, 20): the version's reply, a report of type 24, the refusal of a read, and that limit_torque does not
+bind in operation mode. Values are cut off to counts, so that zero is nowhere. What these leave open: a motor answers an
+operation frame to the host that it heard last; a fault frame goes there once, when the fault comes; it cannot run
+until the fault is cleared. Enabling begins without a set-point, in both position modes at the present angle. The ramps
+acc_rad, acc_set and dcc_set, the integral of the speed loop, and what tunes the current loop have no effect. A zero is
+kept without power. Of MIT frames and CANopen there is what distinguishes them, the operation of MIT, and the way back.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import TYPE_CHECKING
+
+from sim_backend.wire.canbus.frames import CanFrame
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.robstride.tables import MODELS, items
+
+if TYPE_CHECKING:
+    from sim_backend.parameters import SimParameters
+    from sim_backend.wire.torque_log import WatchdogState
+
+BOOT = 0.2
+TIMEOUT_LSB = 5e-5
+PRIVATE, CANOPEN, MIT = 0, 1, 2
+"""Values of the protocol switch."""
+OPERATION, PP, SPEED, CURRENT, CSP = 0, 1, 2, 3, 5
+"""Values of run_mode."""
+OVERHEAT, DRIVER, UNDERVOLTAGE, OVERVOLTAGE, UNCALIBRATED, STALL = 1, 2, 4, 8, 128, 16384
+"""Bits of a fault frame."""
+SPEED_GAIN = 2e-3
+"""N m s/rad of the model's scale, at the delivered spd_kp."""
+_DELIVERED_SPEED_GAIN = 6.0
+_FEEDBACK_BITS = {OVERHEAT: 4, DRIVER: 2, UNDERVOLTAGE: 1, OVERVOLTAGE: 8, 16: 2, 32: 2, 65536: 2}
+_FEEDBACK_BITS |= {UNCALIBRATED: 32, STALL: 16}
+_SETPOINTS = frozenset({"run_mode", "iq_ref", "spd_ref", "loc_ref"})
+_KEY = bytes([1, 2, 3, 4, 5, 6])
+"""The first bytes of a frame that changes what is stored."""
+_CLAMPED_BEFORE = (0, 0, 2, 6)
+_WORDS = struct.Struct(">HHHH")
+
+
+class RobstrideDevice:
+    """A motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
+
+    firmware: four numbers; None: the table's. serial: 64 bits. protocol: spoken from the start. values: of the
+    parameters by name. refused: parameters whose writes are answered and not done. ignores_stop: a stop is answered and
+    not done. Raises KeyError for a model that is not in the table.
+    """
+
+    def __init__(
+        self,
+        model: str = "rs00",
+        ident: int = 1,
+        *,
+        firmware: tuple[int, ...] | None = None,
+        serial: int = 0x3130_4D51_3230_0001,
+        protocol: int = PRIVATE,
+        parameters: SimParameters | None = None,
+        now: float = 0.0,
+    ) -> None:
+        self.model, self.ident = MODELS[model], ident
+        self.firmware = firmware or self.model.firmware
+        self._wraps = self.firmware[:2] != _CLAMPED_BEFORE[:2] or self.firmware >= _CLAMPED_BEFORE
+        self.most_angle = 4.0 * math.pi if self._wraps else 12.5
+        self.protocol = self._next_protocol = protocol
+        self._serial = serial.to_bytes(8, "little")
+        self._items = items(self.model)
+        self._saved = {item.name: item.initial for item in self._items.values()}
+        self.values = dict(self._saved)
+        joint = parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance)
+        self.motor = CanMotor(joint, Impedance())
+        self.faults = 0
+        self.refused: set[str] = set()
+        self.ignores_stop = False
+        self._tripped = False
+        self._rate = self._next_rate = 1
+        self._zero, self._host = 0.0, 0xFD
+        self._powered = self._ready = self._heard = now
+        self._fault_due = self._report_due = math.inf
+
+    @property
+    def angle(self) -> float:
+        """mechPos, rad."""
+        return self.motor.position - self._zero
+
+    @property
+    def watchdog_state(self) -> WatchdogState:
+        """The state of canTimeout."""
+        if self._tripped:
+            return "tripped"
+        return "on" if self.motor.enabled and self.values["canTimeout"] else "off"
+
+    def due(self) -> float:
+        """Return the time of the next report or fault frame, s."""
+        return min(self._fault_due, self._report_due)
+
+    def unasked(self, now: float) -> list[CanFrame]:
+        """Return the fault frame and the report that are due."""
+        self.advance(now)
+        out = []
+        if self._fault_due <= now:
+            self._fault_due = math.inf
+            out.append(self._to_host(21, self.ident, struct.pack("<II", self.faults, 0)))
+        if self._report_due <= now:
+            self._report_due = now + self._interval
+            out.append(self._feedback(24))
+        return out
+
+    def advance(self, now: float) -> None:
+        """Carry the motor to `now` and look for faults."""
+        timeout = self.values["canTimeout"] * TIMEOUT_LSB
+        if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
+            self.motor.run(self._heard + timeout - self._powered)
+            self._tripped = True
+            self.motor.disable()
+        self.motor.run(now - self._powered)
+        if self.motor.temperature > self.model.hottest and not self.faults & OVERHEAT:
+            self.fail(OVERHEAT)
+
+    def fail(self, fault: int) -> None:
+        """Latch a fault (bits of a fault frame); no current from now on."""
+        self.faults |= fault
+        self.motor.disable()
+        self._fault_due = self._powered + self.motor.time if self.protocol == PRIVATE else math.inf
+
+    def reboot(self, now: float) -> None:
+        """Lose what was not stored, the torque first, and be silent for a while."""
+        self.motor.disable()
+        self.faults, self._tripped, self._host = 0, False, 0xFD
+        self.values = dict(self._saved)
+        self.protocol, self._rate = self._next_protocol, self._next_rate
+        turn, low = 2.0 * math.pi, -math.pi if self.values["zero_sta"] else 0.0
+        self._zero += math.floor((self.angle - low) / turn) * turn
+        self._fault_due = self._report_due = math.inf
+        self._ready = now + BOOT
+
+    def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        """Return the replies to a frame."""
+        if frame.remote or frame.error or frame.fd or now < self._ready or self._rate != 1:
+            return []
+        self.advance(now)
+        data = frame.data.ljust(8, b"\0")
+        if self.protocol == CANOPEN:
+            return self._canopen(frame, data)
+        if frame.extended != (self.protocol == PRIVATE) or frame.ident & (0x7FF, 0xFF)[frame.extended] != self.ident:
+            return []
+        self._heard, self._tripped = now, False
+        return [self._mit(data)] if self.protocol == MIT else self._private(frame.ident >> 24, frame.ident >> 8, data)
+
+    def _private(self, kind: int, field: int, data: bytes) -> list[CanFrame]:
+        if kind == 1:
+            if self.values["run_mode"] == OPERATION:
+                self._impede([word / 0xFFFF for word in (field & 0xFFFF, *_WORDS.unpack(data))])
+            return [self._feedback()]
+        self._host = field & 0xFF
+        if kind == 4 and data[:2] == b"\x00\xc4":
+            self._act(kind, bytes(8))
+            return [self._to_host(2, self._status, b"\x00\xc4\x56" + bytes(self.firmware) + b"\0")]
+        if kind == 17:
+            return [self._read(data)]
+        if kind == 7 and 1 <= field >> 8 & 0xFF <= 127:
+            self.ident = field >> 8 & 0xFF
+        elif kind == 18:
+            self._write(data)
+        elif data[:6] == _KEY:
+            self._store(kind, data[6])
+        else:
+            self._act(kind, data)
+        if kind in {0, 7, 23, 25}:
+            return [CanFrame(self.ident << 8 | 0xFE, self._serial, extended=True)]
+        return [self._feedback(24 if kind == 24 else 2)] if kind in {3, 4, 6, 18, 22, 24} else []
+
+    def _impede(self, shares: list[float]) -> None:
+        """Follow torque, angle, velocity and both gains, each as a share of its range, where the motor runs."""
+        velocity, torque, kp, kd = self.model.span
+        torques, angle, speed = (
+            (2.0 * share - 1.0) * most for share, most in zip(shares, (torque, self.most_angle, velocity), strict=False)
+        )
+        law = Impedance(torques, shares[3] * kp, shares[4] * kd, angle + self._zero, speed, ceiling=torque)
+        self.motor.follow(law if self.motor.enabled else Impedance())
+
+    def _act(self, kind: int, data: bytes) -> None:
+        """Run (3), stop and clear the faults (4), or take the present angle as zero (6)."""
+        if kind == 3 and not self.faults:
+            self.motor.enable()
+            self.values |= {"iq_ref": 0.0, "spd_ref": 0.0, "loc_ref": self.angle}
+            self._follow()
+        elif kind == 4:
+            if not self.ignores_stop:
+                self.motor.disable()
+            if data[0] == 1 and self.motor.temperature <= self.model.hottest:
+                self.faults = 0
+        elif kind == 6 and data[0] == 1 and self.values["run_mode"] != PP:
+            self._zero, self.values["loc_ref"] = self.motor.position, 0.0
+            self._follow()
+
+    def _store(self, kind: int, choice: int) -> None:
+        """Save (22), choose the bit rate (23) or the protocol (25) of the next start, or report unasked (24)."""
+        if kind == 22 and choice == 7:
+            self._saved |= {name: value for name, value in self.values.items() if name not in _SETPOINTS}
+        elif kind == 23 and 1 <= choice <= 4:
+            self._next_rate = choice
+        elif kind == 24:
+            self._report_due = self._heard + self._interval if choice else math.inf
+        elif kind == 25 and choice <= MIT:
+            self._next_protocol = choice
+
+    def _read(self, data: bytes) -> CanFrame:
+        item = self._items.get(int.from_bytes(data[:2], "little"))
+        if item is None:
+            return self._to_host(17, 1 << 8 | self.ident, bytes(8))
+        measured = {"mechPos": self.angle, "mechVel": self.motor.velocity, "torque_fdb": self.motor.torque}
+        measured["iqf"] = self.motor.torque / self.model.torque_constant
+        value = measured.get(item.name, self.values[item.name])
+        raw = item.layout.pack(value if item.layout.format == "<f" else int(value))
+        return self._to_host(17, self.ident, (data[:4] + raw).ljust(8, b"\0"))
+
+    def _write(self, data: bytes) -> None:
+        item = self._items.get(int.from_bytes(data[:2], "little"))
+        if item is None or not item.bounds or item.name in self.refused:
+            return
+        value = float(item.layout.unpack_from(data, 4)[0])
+        if item.bounds[0] <= value <= item.bounds[1]:
+            self.values[item.name] = value
+            if self.values["run_mode"] != OPERATION or item.name == "run_mode":
+                self._follow()
+
+    def _follow(self) -> None:
+        """Follow the set-points of the present run_mode; operation begins at rest."""
+        values, mode, constant = self.values, self.values["run_mode"], self.model.torque_constant
+        damping = SPEED_GAIN * self.model.scale * max(1e-3, values["spd_kp"]) / _DELIVERED_SPEED_GAIN
+        ceiling = min(values["limit_torque"], values["limit_cur"] * constant)
+        law = Impedance()
+        if mode == CURRENT:
+            law = Impedance(values["iq_ref"] * constant, ceiling=values["limit_torque"])
+        elif mode == SPEED:
+            law = Impedance(kd=damping, velocity=values["spd_ref"], ceiling=ceiling)
+        elif mode in {PP, CSP}:
+            fastest = values["vel_max" if mode == PP else "limit_spd"]
+            target = values["loc_ref"] + self._zero
+            law = Impedance(0.0, values["loc_kp"] * damping, damping, target, ceiling=ceiling, fastest=fastest)
+        self.motor.follow(law)
+
+    @property
+    def _interval(self) -> float:
+        return 0.01 + 0.005 * (self.values["EPScan_time"] - 1)
+
+    @property
+    def _status(self) -> int:
+        """The field of a feedback."""
+        bits = 0
+        for fault, bit in _FEEDBACK_BITS.items():
+            bits |= bit if self.faults & fault else 0
+        return (2 if self.motor.enabled else 0) << 14 | bits << 8 | self.ident
+
+    def _state(self, bits: int) -> tuple[int, int, int, int]:
+        """Angle, velocity and torque in counts, the last two of `bits`, and the temperature in 0.1 degC."""
+        most, (velocity, torque, *_) = self.most_angle, self.model.span
+        angle = (self.angle + most) % (2.0 * most) - most if self._wraps else self.angle
+        rate, effort = _counts(self.motor.velocity, velocity, bits), _counts(self.motor.torque, torque, bits)
+        return _counts(angle, most), rate, effort, min(0xFFFF, max(0, int(10.0 * self.motor.temperature)))
+
+    def _feedback(self, kind: int = 2) -> CanFrame:
+        return self._to_host(kind, self._status, _WORDS.pack(*self._state(16)))
+
+    def _to_host(self, kind: int, field: int, data: bytes) -> CanFrame:
+        return CanFrame(kind << 24 | field << 8 | self._host, data, extended=True)
+
+    def _mit(self, data: bytes) -> CanFrame:
+        """Answer a frame of 11 bits: FF six times, a choice and a command, or a set-point."""
+        choice, command = data[6:]
+        if data[:6] != b"\xff" * 6:
+            word = int.from_bytes(data, "big")
+            position, *rest = word >> 48, word >> 36 & 0xFFF, word >> 24 & 0xFFF, word >> 12 & 0xFFF, word & 0xFFF
+            velocity, kp, kd, torque = (share / 0xFFF for share in rest)
+            self._impede([torque, position / 0xFFFF, velocity, kp, kd])
+        elif command == 0xFD and choice <= MIT:
+            self._next_protocol = choice
+            return CanFrame(self.ident, self._serial)
+        elif command == 0xFB and choice != 0xFF:
+            return CanFrame(self._host, bytes([self.ident]) + struct.pack("<I", self.faults) + bytes(3))
+        elif command in {0xFB, 0xFC, 0xFD, 0xFE}:
+            self._act({0xFC: 3, 0xFE: 6}.get(command, 4), bytes([command != 0xFD]))
+        angle, rate, effort, warmth = self._state(12)
+        body = (self.ident << 40 | angle << 24 | rate << 12 | effort).to_bytes(6, "big")
+        return CanFrame(self._host, body + warmth.to_bytes(2, "big"))
+
+    def _canopen(self, frame: CanFrame, data: bytes) -> list[CanFrame]:
+        """Answer the request for the device type, and the way back to another protocol."""
+        if frame.extended and frame.ident == 0xFFF and data[:6] == _KEY:
+            self._store(25, data[6])
+            return [CanFrame(self.ident, self._serial)]
+        if not frame.extended and frame.ident == 0x600 + self.ident and data[:4] == b"\x40\x00\x10\x00":
+            return [CanFrame(0x580 + self.ident, b"\x43\x00\x10\x00\x92\x01\x02\x00")]
+        return []
+
+
+def _counts(value: float, most: float, bits: int = 16) -> int:
+    """Return a value in counts as the firmware does: limited to the range and truncated."""
+    bounded = max(-most, min(most, value))
+    return int((bounded + most) * ((1 << bits) - 1) / (2.0 * most))
