@@ -17,7 +17,8 @@ class Clock(Protocol):
 
 
 def machine_time() -> float:
-    """Return the computer's monotonic time, s. Where the operating system permits, it includes time asleep.
+    """Return the computer's monotonic time, s. The time for which the computer was suspended is included, if the
+    operating system can measure it.
 
     A drive may keep its torque on while its computer is suspended, so that time must be counted.
     """

@@ -153,7 +153,8 @@ class Gate:
     def fall_silent(self) -> None:
         """Stop sending set-points and leave the device as it is: its torque may be on.
 
-        `Command.rest()` only reads from now on, as on a disarmed servo. `disarm` still requests torque-off.
+        From now on an exchange with `Command.rest()` only reads, as on a disarmed servo. `disarm` still requests
+        torque-off.
         """
         self._limits = None
 

@@ -21,7 +21,7 @@ class Freshness(Enum):
 
 
 class TickClock:
-    """Unwraps the servo's tick and compares the tick with the host's clock.
+    """Counts the milliseconds of the servo's clock beyond its wrap, and compares them with the host's clock.
 
     The servo takes a sample between the start of the request and the end of the reply. From one sample to the next the
     servo's clock must therefore advance at least by the time from the end of the first reply to the start of the second

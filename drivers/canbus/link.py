@@ -1,9 +1,10 @@
 """Send and receive frames on a CAN bus with python-can. Every wait has a limit, and every error is a `DriverError`.
 
-This module corrects python-can in five places. The wait of `recv` is measured with the wall clock, which steps: here a
-monotonic deadline is used. The slcan interface raises for ever after one byte above 0x7F, waits 2 s to open, and takes
-no lock. python-can's configuration files are ignored. A frame with fewer bytes than its length code says is refused.
-udp_multicast returns the frames that this program sent: see `drivers.canbus.multicast`.
+This module corrects python-can in five places. python-can's `recv` measures its wait with the wall clock, which may be
+set; here a monotonic deadline is used. python-can's slcan interface raises for ever after one byte above 0x7F, waits 2
+s to open, and takes no lock; these faults are corrected. python-can reads configuration files; here they are ignored.
+python-can accepts a frame with fewer bytes than its length code says; here it is refused. udp_multicast returns the
+frames that this program sent; `drivers.canbus.multicast` drops them.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def _options(config: BusConfig) -> dict[str, Any]:
 
 
 def open_interface(config: BusConfig) -> can.BusABC:
-    """Return the python-can bus that `config` names. Raises DriverError with the remedy."""
+    """Open and return the python-can bus that `config` names. Raises DriverError with the remedy."""
     try:
         if config.interface == "slcan":
             _check_free(config)

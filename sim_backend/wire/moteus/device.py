@@ -245,8 +245,8 @@ class MoteusDevice:
     # -- modes ------------------------------------------------------------------------------------------------------
 
     def _enter(self, mode: int, now: float) -> None:
-        """Execute a mode command. It first sets all command registers to their values without a write; a stop clears a
-        fault and a timeout.
+        """Execute a mode command. It first resets all command registers to the values that they have when a frame does
+        not write them. A stop clears a fault and a timeout.
         """
         self.command.clear()
         if mode == STOPPED:
