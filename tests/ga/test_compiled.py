@@ -151,8 +151,8 @@ def test_where_nothing_can_be_written_the_program_works_and_says_so_once(
     package: Path, tmp_path: Path, cache: str, first: str
 ) -> None:
     (package / "__pycache__").write_text("a file where the folder would be")
-    warning, result = end(*begin(first + ASK, package, tmp_path / cache)).splitlines()
-    assert "compiled functions cannot be kept" in warning
+    *said, result = end(*begin(first + ASK, package, tmp_path / cache)).splitlines()  # a slow machine prints more
+    assert sum("compiled functions cannot be kept" in line for line in said) == 1
     assert result == "2.0 False"
     assert not list(tmp_path.rglob("*.nbi"))
 
