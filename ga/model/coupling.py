@@ -88,9 +88,7 @@ class CouplingModel:
     smoothing: float | None = None
 
     def __reduce__(self) -> tuple[type[CouplingModel], tuple[str | float | None, ...]]:
-        """Return the instructions for pickling. Another process builds the model from its name, because its terms
-        contain lambdas.
-        """
+        """Return the instructions for pickling: the model's name, because the model's terms contain lambdas."""
         return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing)
 
     @cached_property
@@ -125,9 +123,7 @@ class CouplingModel:
 
     @property
     def needs_ratio(self) -> bool:
-        """Return whether the columns depend on Bc/Kc, because the sign of the torque decides whether surfaces touch or
-        how friction acts.
-        """
+        """Return whether the columns depend on Bc/Kc: the sign of the torque decides on contact or friction."""
         return any(term.contact is not None or term.load is not None for term in self.terms)
 
     @cached_property
@@ -137,9 +133,7 @@ class CouplingModel:
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
     def _through_cell(self, motion: Motion, nonlinear: Array | None) -> Motion:
-        """Return the motion that the torque is computed from: the whole motion if the model has a torque cell and its
-        parameters are given.
-        """
+        """Return the motion for computing the torque: the whole one behind a torque cell with given parameters."""
         behind_cell = nonlinear is not None and any(term.cell is not None for term in self.terms)
         return motion.whole[0] if behind_cell else motion
 
@@ -178,9 +172,7 @@ class CouplingModel:
         return np.asarray(~(held | beside_rest(motion, held) | unseen))
 
     def delay(self, nonlinear: Array | None) -> float:
-        """Return the age of the torque reading less that of the angle reading, s, for nonlinear parameters (q,); 0
-        without a term for a delay.
-        """
+        """Return how much older the torque reading is than the angle's, s, for (q,); 0 without a term for a delay."""
         return next((float(values[0]) for term, values in self._valued(nonlinear) if term.delays), 0.0)
 
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array:
@@ -215,8 +207,7 @@ class CouplingModel:
         *,
         changing: Motion | None = None,
     ) -> Array:
-        """Return the derivative (n, q) of the torque with respect to each nonlinear parameter, N m per unit, at given
-        parameters.
+        """Return the derivative (n, q) of the torque with respect to each nonlinear parameter, N m per unit.
 
         nonlinear (q,) and genes (p,): the parameters. torque (n,): N m, as read; None: the model's own torque. If the
         torque depends on earlier samples, the part explained by the unknown states at the beginning of pieces changes
@@ -259,8 +250,7 @@ class CouplingModel:
         return beside
 
     def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
-        """Return the torque (n,), N m, of a motion, including the part explained by unknown states at the beginning of
-        pieces.
+        """Return the torque (n,), N m, of a motion, including the part explained by unknown initial states.
 
         seen: regressors with the same delay, if known.
         """
@@ -284,15 +274,11 @@ class CouplingModel:
         return tuple(found)
 
     def _valued(self, nonlinear: Array | None) -> list[tuple[Term, Array]]:
-        """Return each term that has nonlinear parameters, with the values of these parameters, out of the model's
-        (q,).
-        """
+        """Return each term that has nonlinear parameters, with their values out of the model's (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
     def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
-        """Return the regressors for nonlinear parameters (q,). delayed: known regressors for other parameters with the
-        same delay.
-        """
+        """Return the regressors for parameters (q,). delayed: regressors for other parameters with the same delay."""
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = self._through_cell(motion, nonlinear)
         shown = delayed.near.motion if delayed else motion.delayed(delay)
@@ -323,9 +309,7 @@ class CouplingModel:
         return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
 
     def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
-        """Return values (n,) or (n, p) without the part that the unknown state at the beginning of a piece can
-        explain.
-        """
+        """Return values (n,) or (n, p) without the part that unknown states at the beginning of pieces can explain."""
         if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
             return values
         valued = self._valued(nonlinear)
@@ -354,8 +338,7 @@ class CouplingModel:
         return Regressors(elapsed, seen, angle, contact, load, damped, softness, self.middle or 0.0, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
-        """Yield each term, whether its torque is no linear filter of the motion, and its values out of the parameters
-        (q,).
+        """Yield each term, whether its torque is no linear filter of the motion, and its values out of (q,).
 
         Without given parameters, only terms without nonlinear parameters are returned.
         """
@@ -376,9 +359,7 @@ class CouplingModel:
         return np.asarray(sum(parts[1:], start=parts[0]))
 
     def _stacked(self, seen: _Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
-        """Return the columns (n, p) of all terms; with `changing`, the derivatives of the columns with respect to
-        time.
-        """
+        """Return the columns (n, p) of all terms; with `changing`, their time derivatives."""
         columns: list[Array] = []
         for term, bends, values in self._present(nonlinear):
             reaches = _reaches(seen.motion, term, bends=bends)
@@ -395,9 +376,7 @@ class CouplingModel:
 
 
 def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
-    """Return whether a term's torque depends on other samples, through a state of the term or through the torque's
-    filter.
-    """
+    """Return whether a term's torque depends on other samples, through a state of the term or the torque's filter."""
     return term.forgets is not None or (bends and motion.behind is not None)
 
 

@@ -1,5 +1,4 @@
-"""Fit models with nonlinear parameters by variable projection: these are searched, and the linear ones computed exactly
-for each trial value.
+"""Fit models with nonlinear parameters by variable projection: these are searched, the linear ones computed exactly.
 
 For given nonlinear parameters (such as skew, gap, slack) the fit is a least-absolute-deviations problem, and its exact
 minimum is the fitness of these parameters. `best_start` looks for the lowest local minimum from a few starting values.
@@ -105,9 +104,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """A fit together with the columns (n, p) and target (n,) of its linear problem. These take many megabytes and must
-    not be stored.
-    """
+    """A fit with columns (n, p) and target (n,) of its linear problem; too large to be stored."""
 
     fit: Fit
     columns: Array
@@ -169,9 +166,7 @@ class Problem:
         return self.of(slice(None, None, max(1, len(self.torque) // rows)))
 
     def sketched(self) -> Problem:
-        """Return the problem on a few samples of a coarser motion that is still dense enough, for the search of a
-        starting point.
-        """
+        """Return the problem on a few samples of a coarser, still dense enough motion, to find a starting point."""
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 
@@ -332,8 +327,8 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
 
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
-    """Return the first fit, of successively shorter steps from `best`, with a lower fitness, together with its linear
-    problem; None if no step has one.
+    """Return the first fit with a lower fitness among ever shorter steps from `best`, with its linear problem; or
+    None.
     """
     for halving in range(_HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
@@ -357,11 +352,9 @@ def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | 
 
 
 def compass_search(problem: Problem, best: Fit) -> Fit:
-    """Return the local minimum of a fitness made rough by breaks: steps both ways along each parameter, with shrinking
-    lengths.
+    """Return the local minimum of a fitness made rough by breaks, by shrinking steps both ways along each parameter.
 
-    If the minimum is long and narrow, a few steps show its direction, and growing steps follow it (Hooke and Jeeves
-    1961).
+    If the minimum is long and narrow, a few steps show its direction, and growing steps follow (Hooke and Jeeves 1961).
     """
     steps, length, path = _rough(problem), _FIRST, [best]
     while len(steps) and length > _LAST:
@@ -389,10 +382,9 @@ def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
 
 
 def _rough(problem: Problem) -> Array:
-    """Return the nonlinear parameters along which the fitness has many local minima, as vectors (k, q) scaled to their
-    bounds.
+    """Return the directions of nonlinear parameters along which the fitness has many local minima, as (k, q).
 
-    The two ends of a gap have separate effects, so the directions move one end each.
+    They are scaled to the bounds. The two ends of a gap have separate effects, so the directions move one end each.
     """
     nonlinear = problem.model.nonlinear
     names = [parameter.name for parameter in nonlinear]

@@ -41,28 +41,24 @@ FORGOTTEN: Final = 30.0
 """The number of time constants after which an initial state has no effect within floating-point precision."""
 
 _APART: Final = 300.0
-"""The limit of a variance ratio above which the motion is a single sine.
-
-The ratio is the variance of the acceleration over that of its part that deflection and rate do not explain.
+"""The motion is a single sine if the variance of the acceleration exceeds this many times that of its part that
+deflection and rate do not explain.
 """
 
 _TINY: Final = 1e-300
 
 _AGAIN: Final = 4
-"""The number of passes of the joint below which a change in time cannot be separated from a difference between the
-directions.
-"""
+"""The number of passes of the joint below which a change in time looks like a difference between directions."""
 
 _UNSURE: Final = 0.005
 _UNLIKE: Final = 8.0
-"""Limits for the difference of two windows' slopes below which the slopes agree.
-
-_UNSURE: as a fraction of the r.m.s. value. _UNLIKE: as a multiple of the usual difference or of the noise.
+"""Two windows' slopes agree if they differ by less than _UNSURE times the r.m.s. value, or _UNLIKE times the usual
+difference or noise.
 """
 
 _DENSE: Final = 0.25
-"""The largest time between samples at which interpolation is possible, relative to the time in which the rate changes
-by its own size.
+"""The largest time between samples for interpolation, relative to the time in which the rate changes by its own
+size.
 """
 
 _FEWEST: Final = 50
@@ -107,16 +103,12 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for another process, without the cached filters: functions cannot be sent, so the other
-        process makes them anew.
-        """
+        """Return the state for another process, without the cached filters, because functions cannot be sent."""
         return {name: value for name, value in self.__dict__.items() if name != "_filters"}
 
     @property
     def passes(self) -> int:
-        """Return how often the joint crossed a quarter of its range completely, in either direction, for the quarter
-        crossed most often.
-        """
+        """Return how often the joint crossed a quarter of its range, for the quarter that it crossed most often."""
         import numpy as np
 
         least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))
@@ -126,9 +118,7 @@ class Motion:
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion crosses its range often enough to separate changes in time from differences between
-        directions.
-        """
+        """Return whether the motion repeats often enough to separate changes in time from those with direction."""
         return self.passes >= _AGAIN
 
     @property
@@ -140,15 +130,11 @@ class Motion:
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
-        """Return the motion that this motion is a part of (or this motion itself), and the rows of this motion in the
-        larger one.
-        """
+        """Return the larger motion that this one is a part of, or this one itself, and the rows of this one in it."""
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
-        """Return the motion at the samples `rows`; delays and lags of the result are as exact as in the whole
-        motion.
-        """
+        """Return the motion at the samples `rows`; delays and lags remain as exact as in the whole motion."""
         chosen = np.arange(len(self))[rows]
         whole, places = self.whole
         return replace(
@@ -179,16 +165,13 @@ class Motion:
 
     @cached_property
     def _longest_stride(self) -> int:
-        """Return the largest factor by which the distance between samples can grow while they remain dense enough to
-        interpolate.
-        """
+        """Return how many times further apart the samples may be and still be dense enough to interpolate."""
         fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
         longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
         return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
 
     def at(self, time: Array) -> Motion:
-        """Return the motion interpolated at other times (m,), s, rising, without times between two pieces and times
-        alone in a piece.
+        """Return the motion interpolated at times (m,), s, rising; times between pieces, or alone in one, are left out.
 
         The result is a part of a whole motion as dense as this one, so its delays and lags are as exact.
         """
@@ -226,11 +209,10 @@ class Motion:
         return _kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
 
     def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
-        """Return the signals that the unknown states at the beginning of each piece can cause; see
-        `ga.model.memory.beginnings`.
+        """Return the signals that unknown states at the beginning of each piece can cause
+        (`ga.model.memory.beginnings`).
 
-        left (k, n): see there. key: the model and its parameters, by which the result is cached, because columns and
-        torque need the same result.
+        left (k, n): see there. key: the model and its parameters, under which the result is cached.
         """
         from ga.model.memory import beginnings
 
@@ -241,8 +223,7 @@ class Motion:
         return self._evaluated(delay, self._changes)
 
     def lagged(self, values: Array, constant: float) -> Array:
-        """Return values (n,) or (n, k) behind a first-order lag of `constant`, s, that has settled at the start of each
-        piece.
+        """Return values (n,) or (n, k) behind a first-order lag of `constant`, s, settled at the start of each piece.
 
         Exact for values that are cubic between two times, with slopes from central differences.
         """
@@ -276,9 +257,7 @@ class Motion:
         return np.concatenate([through(values[a:b]) for (a, b), through in parts])
 
     def presliding(self, length: float) -> Array:
-        """Return the friction state of Dahl (1976), (n,) -1 to 1, which builds up over `length` rad after a
-        reversal.
-        """
+        """Return Dahl's (1976) friction state (n,), -1 to 1, which builds up over `length`, rad, after a reversal."""
         from ga.model import memory
 
         return self._frictional(memory.presliding, length)
@@ -323,9 +302,7 @@ class Motion:
 
     @cached_property
     def travelled(self) -> Array:
-        """Return the distance (n,), rad, that the joint has travelled since the start of its piece, in both directions
-        together.
-        """
+        """Return the distance (n,), rad, travelled since the start of the piece, both directions together."""
         if self.part_of is not None:
             return self.part_of[0].travelled[self.part_of[1]]
         moved = (np.diff(time) * 0.5 * np.abs(rate[:-1] + rate[1:]) for time, rate, _ in self._turning)
@@ -349,9 +326,7 @@ class Motion:
 
     @cached_property
     def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
-        """Return for each piece times, s, and rates, rad/s, with an added sample at each reversal, and the indices of
-        the original samples.
-        """
+        """Return each piece's times, s, and rates, rad/s, with a sample at each reversal, and the original samples."""
         from ga.model.memory import with_turns
 
         return tuple(with_turns(self.time[a:b], self.dtheta_dot[a:b]) for a, b in self._stretches())
@@ -364,9 +339,7 @@ class Motion:
 
     @cached_property
     def _curves(self) -> tuple[Spline, ...]:
-        """Return splines through deflection, rate, acceleration and known torque of each piece; nearly exact if samples
-        are dense.
-        """
+        """Return splines through the four arrays of each piece; nearly exact if samples are dense."""
         from ga.model.spline import Spline
 
         if self.part_of is not None:
@@ -380,8 +353,8 @@ class Motion:
 
 
 def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
-    """Return the cached value for a key, computed by `make` at first. A few values are cached, so that two alternating
-    searches have one each.
+    """Return the cached value for a key, computed by `make` at first; a few are cached, for two alternating
+    searches.
     """
     value = found.get(key)
     if value is None:

@@ -93,19 +93,16 @@ def run_trials(
     """Run `trials` searches for the genes that fit columns (n, p) to torque (n,), N m, best.
 
     Each trial has its own random generator, seeded from (seed, trial): the result does not depend on `workers`, the
-    number of threads. start: the region in which an informed search begins, for reduced rows, from which the region
-    cannot be computed (see `Reduced`). progress: a function that is called in this thread, several times a second, with
-    the fraction done, 0 to 1.
+    number of threads. start: the region in which an informed search of reduced rows begins (see `Reduced`). progress: a
+    function that is called in this thread, several times a second, with the fraction done, 0 to 1.
 
     Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. stop: a function that is called as often;
-    once it returns True the run ends. If `stop` is given, the result so far is returned, also after Ctrl-C, marked as
-    interrupted.
+    the run ends once it returns True. With `stop`, the result so far is returned, also after Ctrl-C, marked as
+    interrupted. checkpoint: a file in which the state is saved every `every` seconds and at the end, however the run
+    ends. If the file exists already, the search continues from it and gives the same bits as without the interruption.
 
-    checkpoint: a file in which the state is saved every `every` seconds and at the end, however the run ends. If the
-    file exists already, the search continues from it and gives the same bits as without the interruption.
-
-    Raises ValueError if the data are not finite or empty, or if a number or the bounds do not fit; WrongCheckpoint, a
-    ValueError, if the file is of another run; OSError if the file cannot be read or written.
+    Raises ValueError if data, a number or the bounds are not usable; WrongCheckpoint, a ValueError, if the file is of
+    another run; OSError if the file cannot be read or written.
     """
     if trials < 1 or workers < 1:
         raise ValueError(f"{trials} trials with {workers} workers: give 1 or more of each")

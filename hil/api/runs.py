@@ -116,17 +116,15 @@ def record(
 
     amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: sampling rate,
     Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: the CSV for
-    profile "file". seed: for everything random. realtime: run a simulated stand in wall time. note: a text stored in
-    the recording. output: path of the recording (None: the next free recordings/runN.h5). force: replace an existing
-    file. guardian: whether a second process switches the torque of a real drive off if this process is killed, frozen
-    or late (docs/reliability.md). faults: a TOML file with planned faults of a simulated stand (docs/reliability.md).
-    rerun: "window" or a file .rrd, in which Rerun shows the run while it lasts. command_line: a text stored in the
-    recording. warn: called with the warnings that are known before anything moves. alarm: called at once with a
+    profile "file". seed: for everything random. realtime: run a simulated stand in wall time. note, command_line: texts
+    stored in the recording. output: the recording's path (None: the next free recordings/runN.h5). force: replace an
+    existing file. guardian: whether a second process switches a real drive's torque off if this process is killed,
+    frozen or late. faults: a TOML file with planned faults of a simulated stand (docs/reliability.md). rerun: "window"
+    or a file .rrd, for Rerun. warn: called with the warnings known before anything moves. alarm: called at once with a
     sentence if the torque may still be on. ended: called with the run before the fault that ended it is raised.
 
-    The torque is off on return. Ctrl-C ramps the torque to zero and keeps the rows: then `outcome.signal` is set.
-    Raises WrongUse before anything moves, DriverError if the drive fails, and `hil.acquisition.limits.LimitReached` if
-    a safety limit ended the run. All rows before a fault are kept.
+    The torque is off on return, and all rows are kept. Ctrl-C ramps the torque to zero and sets `outcome.signal`.
+    Raises WrongUse before any motion, DriverError if the drive fails, `hil.acquisition.limits.LimitReached` at a limit.
     """
     opened = opened_stand(stand)
     wanted = (quantity_of(mode), (amplitude, band, duration))

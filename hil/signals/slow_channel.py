@@ -1,5 +1,4 @@
-"""Find the readings of a sensor that is slower than the ticks: its readings repeat until the next one, or straight
-lines join them.
+"""Find the readings of a sensor slower than the ticks, whose readings repeat or are joined by straight lines.
 
 Only the sensor's own readings are used, each at the time of its conversion. A reading that repeats was converted
 between the first tick that shows it and the previous tick. If the sensor keeps its own pace, a line through many such
@@ -99,9 +98,7 @@ class Slower:
 
 
 def kind_of(time: Array, values: Array) -> Kind | None:
-    """Return how a channel (n,), logged at time (n,), s, shows a sensor slower than the ticks; None if the sensor is
-    not slower.
-    """
+    """Return how a channel (n,), logged at time (n,), s, shows a sensor slower than the ticks; None if it does not."""
     if len(values) < FEWEST_READINGS or np.ptp(values) == 0.0:
         return None
     count = smallest_step(values)
@@ -132,9 +129,7 @@ def readings(time: Array, values: Array, kind: Kind) -> Readings:
 
 
 def stamped(time: Array, values: Array) -> Readings:
-    """Return the readings of a channel (n,) that another device stamped at time (n,), s; NaN marks samples without a
-    stamp.
-    """
+    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN where it did not."""
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
 
@@ -204,8 +199,7 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:
-    """Return the possible components of a torque (n, k), each of about size one, and their time derivatives (n, k),
-    1/s.
+    """Return the possible components of a torque (n, k), each of about size one, and their derivatives (n, k), 1/s.
 
     The components are a line that bends at several deflections, friction that grows with the deflection, damping that
     grows with the rate, branches that relax, and an inertia, which also stands for the second-order effect of an age.
@@ -230,9 +224,7 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
 
 
 def _is_held(values: Array, count: float) -> bool:
-    """Return whether values repeat while the motion changes by counts at each tick; a fast sensor repeats only at
-    rest.
-    """
+    """Return whether values repeat while the motion changes by counts at each tick (a fast sensor's do not)."""
     changes = np.flatnonzero(np.diff(values)) + 1
     if len(changes) < FEWEST_READINGS:
         return False
@@ -283,9 +275,7 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
 
 
 def _numbered(steps: Array) -> Array:
-    """Return the index (m + 1,) of each reading, allowing for missing readings. steps (m,): the times between the
-    readings, s.
-    """
+    """Return the index (m + 1,) of readings at these distances (m,), s, allowing for missing readings."""
     usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
     for _ in range(2):  # steps of two and three ticks have a mean of neither
         counts = np.maximum(np.round(steps / usual), 1.0)
@@ -294,8 +284,7 @@ def _numbered(steps: Array) -> Array:
 
 
 def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, float]:
-    """Return evenly paced times (m,), s, between the times `before` and `shown` (m,), and the range of the middle of
-    these times.
+    """Return evenly paced times (m,), s, between `before` and `shown` (m,), s, and the range of their middle, s.
 
     number (m,): the index of each reading. Of all paces that fit, the pace farthest from its limits is chosen. The last
     result is the difference, s, that the other paces make over the whole recording.
@@ -319,8 +308,8 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
 
 
 def _bends(time: Array, values: Array) -> Array:
-    """Return the distance (n,) of the next sample from the line through this sample and the previous one; infinite at
-    both ends.
+    """Return the distance (n,) of the next sample from the line through this and the previous one; infinite at the
+    ends.
     """
     steps = np.diff(time)
     bends = np.abs(np.diff(np.diff(values) / steps)) * np.minimum(steps[1:], steps[:-1])
@@ -339,9 +328,7 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
-    """Return whether the channel consists of straight lines of a few samples each, including parts where it bends
-    sharply.
-    """
+    """Return whether the channel consists of straight lines of a few samples each, also where it bends sharply."""
     if (np.diff(time) <= 0.0).any():
         return False
     bends = _bends(time, values)
@@ -370,9 +357,7 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
 
 
 def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
-    """Return the largest (n,) of each value and its `reach` neighbours on each side (importing scipy.ndimage takes
-    longer).
-    """
+    """Return the largest (n,) of each value and its `reach` neighbours on each side (faster than to import scipy)."""
     around = np.pad(values, reach, mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1).max(axis=1))
 
@@ -382,9 +367,7 @@ def _mostly(where: NDArray[np.bool_]) -> bool:
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the first and last sample (k, 2) of each line. on (n,): which samples lie on the line through their
-    neighbours.
-    """
+    """Return the first and last sample (k, 2) of each line; on (n,): which samples lie between two on the line."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
     return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
 
