@@ -35,22 +35,23 @@ _REPLACEMENTS: Final = get_args(Replacement)  # in the order of ga.evolution.pop
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """The options of a search; each reading of the paper is one value (docs/paper.md says what each gives).
+    """The options of a search. If the paper's text has several interpretations, each is one value (docs/paper.md).
 
-    scheme: "steady-state", the paper's Algorithm 1, one child a generation; "generational", a family a generation:
-        p + 2 parents drawn without preference, 5 p children by ensemble crossover, the best p + 2 of the family live.
-    population: chromosomes; None: 10 + 8 p.
-    start: "uniform", the first population is drawn in the bounds; "informed", around the least-squares solution as far
-        as the optimum may be from it (ga.start), where the data determine that and it lies within the bounds.
-    mutation: probability that one gene of a child is redrawn.
-    generations: how many at most.
+    scheme: "steady-state", the paper's Algorithm 1, with one child in each generation; "generational", with one family
+        in each generation: p + 2 parents drawn at random, 5 p children by ensemble crossover; the best p + 2 survive.
+    population: the number of chromosomes; None: 10 + 8 p.
+    start: "uniform", the first population is drawn in the bounds; "informed", in a cube around the least-squares
+        solution (ga.start), if the data determine that cube and it lies within the bounds.
+    mutation: the probability that one gene of a child is redrawn.
+    generations: the largest number of generations.
     weights: the crossover weighs a parent by its "error", equation 6 as printed, or by "inverse-error".
-    tournament, selection, replacement: of the steady-state scheme only; how many compete, whether the "larger" error
-        wins or the smaller ("minimise"), and which individual the offspring replaces: the "worst" always or only
-        "worst-if-better", the "oldest", or a "random" one.
-    reach: of the generational scheme only; the spread of children over that of their parents.
-    tolerance: stop when the fitness of the population spreads over less than this part of the best; None: never.
-    Raises ValueError for a value out of range or a reading there is none of.
+    tournament, selection, replacement: only for the steady-state scheme: how many chromosomes compete, whether the
+        "larger" error wins or the smaller one ("minimise"), and which individual the child replaces: the "worst"
+        always, the worst only "worst-if-better", the "oldest", or a "random" one.
+    reach: only for the generational scheme: the spread of the children divided by that of their parents.
+    tolerance: stop when the spread of the population's fitness is less than this fraction of the best; None: never.
+
+    Raises ValueError for a value that is out of range or not allowed.
     """
 
     scheme: Scheme = "steady-state"

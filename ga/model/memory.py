@@ -163,7 +163,7 @@ def _orthonormal(left: Array) -> Array:
 
 @compiled_no_refcount
 def yield_along(moves: Array, found: Array) -> None:
-    """Fill in the states (n + 1,) of Bouc and Wen's friction after the first, for n moves given in units of the
+    """Fill in the states (n + 1,) of Bouc and Wen's friction after the first. moves (n,): distances, in units of the
     length.
     """
     for at in range(len(moves)):

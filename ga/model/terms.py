@@ -105,10 +105,9 @@ def canonical(name: str) -> str:
 
 
 def is_addable(term: str, terms: Collection[str]) -> bool:
-    """Return whether a term can be added to a model of these terms: the model has neither the term nor one that
-    excludes it.
+    """Return whether a term can be added to a model of these terms.
 
-    A term whose needed term is missing cannot be added either.
+    It cannot if the model has the term or one that excludes the term, or lacks a term that it needs.
     """
     return term not in terms and not lacking(term, terms) and not any(_excluded(term, other) for other in terms)
 

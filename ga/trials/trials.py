@@ -64,7 +64,7 @@ class _Run:
 
 @dataclass(eq=False)
 class _Trial:
-    """One search and its history. kept: a copy of both as of the end of a chunk, complete at any time."""
+    """One search and its history. kept: a copy of both at the end of a chunk of work, which is always complete."""
 
     population: Population
     record: NDArray[np.float64]
@@ -250,9 +250,7 @@ def _chunks(run: _Run, engine: Engine, trial: _Trial) -> Iterator[None]:
 
 @dataclass
 class _Watch:
-    """Progress, stop request and checkpoint of running trials. asked, kept: times, s, of the last check and of the last
-    save.
-    """
+    """Progress, stop request and checkpoint of running trials. asked, kept: times of the last check and save, s."""
 
     settings: Settings
     progress: Callable[[float], None] | None

@@ -144,8 +144,10 @@ class _Columns:
         return usable_rows(recording, start, stop, torque, rate=self.rate_given, own_time=self.own_time)
 
     def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
-        """Return two results: the columns, updated by what the usable rows show of slower sensors and of the recorded
-        rate; and the windows.
+        """Return the columns and the windows for the usable rows.
+
+        The columns are updated: these rows show which sensors are slower than the ticks, and whether the recorded rate
+        is used.
         """
         columns = self._slower(usable)
         window = _window(usable, columns)

@@ -155,9 +155,9 @@ Its arguments are a recording and the torque (n,), N m, of the fitted model.
 class Effect:
     """An effect that may explain the residuals.
 
-    name: the effect in words. advice: what to try; models are named by their term in braces. in_deflection: whether it
-    is an effect of the deflection's reading, which changes Bc through a false skew. takes_spring: whether it removes
-    the spring's whole torque over the range in which its column changes.
+    name: the effect in words. advice: what to try; models are named by their term in braces. in_deflection: whether the
+    effect disturbs the deflection's reading, so that it changes Bc through a false skew. takes_spring: whether the
+    effect removes the spring's whole torque over the range in which its column changes.
     """
 
     code: str

@@ -1,4 +1,4 @@
-"""Build the largest of the models that are averaged over: it contains all others, and its fit gives their fits.
+"""Build the largest of the models that are averaged over: it contains all others, whose fits follow from its fit.
 
 If the spring curves, the curve that fits best is selected. No real spring follows one of these curves exactly, and the
 stiffness at zero deflection depends on the curve.
@@ -84,7 +84,7 @@ class Largest:
 
     @property
     def seldom(self) -> list[str]:
-        """Return the names of the added parameters that only one joint in ten has."""
+        """Return the names of those added parameters that only one joint in ten has."""
         return [name for term in _RARE_CURVES if term in self.added for name in _own(term)]
 
 

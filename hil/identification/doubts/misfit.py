@@ -155,7 +155,7 @@ def percent(size: float | None) -> str:
 
 
 def _remedy(model: SeparableModel, found: LackOfFit) -> str:
-    """Return what the residuals look like, and the model or experiment to try."""
+    """Return, as text, the effects that may explain the residuals, and the model or experiment to try."""
     if found.at_jumps is not None and not found.suspects:
         return (
             "An inertia, or friction from rest on, may show there only. Drive a multisine or a chirp, or read the "

@@ -137,7 +137,8 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
 
 
 def tested_motion(described: Described) -> float:
-    """Return the fraction of the motion, by power of the rate, in the samples whose residuals are tested.
+    """Return the fraction of the motion that is tested: the power of the rate in the tested samples over that in all
+    samples.
 
     Samples beside jumps of the acceleration are not tested. A joint that steps from rest to rest moves only in such
     samples.

@@ -105,11 +105,10 @@ class LateReading:
         return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
-        """Return the models with a skew, a lag of the cell, both, or an inertia. They replace the one that the model
-        has, if any.
+        """Return the models with each cause of delay: a skew, a lag of the cell, both, or an inertia.
 
-        In slow motion each of these equals a damping: a model without one of them may fit well and still have the wrong
-        damping.
+        The cause replaces the one in the chosen model, if it has one. In slow motion each cause equals a damping: a
+        model without a cause may fit well and still have the wrong damping.
         """
         found = self._others(chosen) if "mean" not in chosen.terms else []
         both = [(one, term) for one in (chosen, *found) for term in (*EARLIER, "maxwell") if term in one.terms]

@@ -258,8 +258,9 @@ class _Steps:
         return self.criterion.gained(self.fits.fitness(chosen.terms) - seen.fitness) > AKAIKE
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
-        """Return the model with one more term: of those that improve the score, the one that predicts held-out blocks
-        best; or None.
+        """Return the model with one more term; None if no term improves the score.
+
+        Of the terms that improve the score, it has the one that predicts held-out blocks best.
         """
         beyond = self._beyond(smaller.terms)
         if set(self.rare).intersection(smaller.terms) and self._is_described(smaller):
