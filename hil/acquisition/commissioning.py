@@ -122,8 +122,8 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
         )
     halved = Diagnostic(
         "not-commissioned",
-        f"nobody has tried within {DAYS:.0f} days whether this drive stops when hil does: the torque limit is {half:g} "
-        f"N m now, half of the stand's; {remedy}",
+        f"it was not tested within {DAYS:.0f} days whether this drive stops when hil stops: the torque limit is "
+        f"{half:g} N m now, half of the stand's; {remedy}",
     )
     return with_torque_limit(stand, half), [halved]
 

@@ -154,7 +154,7 @@ def _check_positive(amplitude: float, duration: float, fade: float) -> None:
         if not (math.isfinite(value) and value > 0.0):
             raise WrongUse(f"--{name} {value:g}: it must be a number above zero")
     if not (math.isfinite(fade) and fade >= _SHORTEST_FADE):
-        raise WrongUse(f"--fade {fade:g}: it must be at least {_SHORTEST_FADE:g} s, so that no torque is switched")
+        raise WrongUse(f"--fade {fade:g}: it must be at least {_SHORTEST_FADE:g} s, so that the torque does not jump")
 
 
 def _check_band(excitation: Excitation, band: tuple[float, float], rate: float) -> None:

@@ -79,7 +79,7 @@ class Guard:
         if self._stale_in_row >= _REPEATS and not sample.t - self._fresh_reply < _STALE:
             raise BadReply(
                 f"the drive's own clock did not advance in {self._stale_in_row} replies: "
-                "its readings are old; switch it off and on"
+                "its readings are old; switch the drive off and on again"
             )
 
     def check_late(self, late: float, waited: float) -> str:

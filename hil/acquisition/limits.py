@@ -186,7 +186,7 @@ class Temperature:
         if not self._present.check(value):
             return
         if value > self._limit - _COOL_RUN:
-            raise LimitReached(f"the winding reached {value:.0f} degC; its limit is {self._limit:.0f}")
+            raise LimitReached(f"the winding reached {value:.0f} degC; its limit is {self._limit:.0f}: cool it down")
         passed, self._last = sample.t - self._last, sample.t
         if value != self._same:
             if value != self._before:  # back and forth between two readings is one step

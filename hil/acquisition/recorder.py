@@ -148,13 +148,15 @@ class Recorder:
         if not math.isfinite(motor):
             raise BadReply("the drive reports no position: a deflection cannot be recorded")
         if math.ulp(motor) > _RESOLVED * self._limits.deflection * self._transmission.ratio:
-            raise BadReply(f"the drive reports {motor:.3g} rad at rest, too much to read a deflection from: home it")
+            raise BadReply(
+                f"the drive reports {motor:.3g} rad at rest, too far from zero to resolve a deflection: home the drive"
+            )
         self._has_joint = math.isfinite(joint)
         zero = Zero(motor, joint if self._has_joint else 0.0)
         at_rest = [*map(self._readings(zero), samples)]
         if not any(math.isfinite(one.torque) for one in at_rest):
             raise BadReply(
-                f"the stand file says torque_source = {self._torque_source!r}, but no torque is reported there"
+                f"the stand file says torque_source = {self._torque_source!r}, but no torque is read from it"
             )
         self._guard.check_start(samples, at_rest)
         return zero

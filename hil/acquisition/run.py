@@ -79,7 +79,7 @@ def run(
     host = FaultyHost()
     _check(stand, output, rerun, force=force)
     if faults is not None and "disk-frozen" in faults.kinds() and not realtime:
-        raise WrongUse("disk-frozen: in virtual time nobody waits for a disk: add --realtime")
+        raise WrongUse("disk-frozen: this fault has no effect in virtual time: add --realtime")
     with StopRequest().listening() as stop:
         servo, truth = _opened(stand, profile, (faults, host), seed=seed, realtime=realtime, guardian=guardian)
         outcome = Outcome()

@@ -113,7 +113,7 @@ def motor_at_rest(stand: Stand) -> tuple[Steady, float]:
     finally:
         servo.close()
     if len(angles) < 2:
-        raise Untrustworthy("the drive gives no position while it is at rest: look at it with hil doctor")
+        raise Untrustworthy("the drive gives no position while it is at rest: check the drive with hil doctor")
     moved = float(np.ptp(angles))
     if moved > _MOVED * (count if math.isfinite(count) else 1e-3):
         raise Untrustworthy(

@@ -108,8 +108,8 @@ def fit(points: Sequence[Point], load_uncertainty: float = 0.0) -> Scale:
 def _check_slope(slope: float, unrelated: bool) -> None:
     if slope == 0.0 or unrelated:
         raise Untrustworthy(
-            "the reading does not follow the load, so it gives no scale for Kc and Bc: look at the cell's plugs, and "
-            "whether the load passes through it"
+            "the reading does not follow the load, so it gives no scale for Kc and Bc: check the cell's plugs, and "
+            "that the load passes through the cell"
         )
     if slope < 0.0:
         raise Untrustworthy(

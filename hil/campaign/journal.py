@@ -46,7 +46,7 @@ class Journal:
             table = json.loads(text)
             if table["schema"] == SCHEMA:
                 return {name: Entry(str(one["key"]), str(one["failure"])) for name, one in table["runs"].items()}
-        raise WrongUse(f"{self._path} is no journal of a campaign: move it away, or choose another output")
+        raise WrongUse(f"{self._path} is no journal of a campaign: move the file away, or choose another output")
 
     def failure(self, run: Run) -> str:
         """Return why the last attempt of a run failed, "" if it did not fail."""

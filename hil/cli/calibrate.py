@@ -73,7 +73,7 @@ def torque(
         _print_scale(*store_torque(stand, read_loads(opened, given, None, clock, lambda _: True), tare=0.0, arm=lever))
         return
     if given is None and yes:
-        raise WrongUse("--yes asks for no weights: name them with --points FILE.csv")
+        raise WrongUse("with --yes no weights are asked for: give them with --points FILE.csv")
     if given is None and arm is None:
         raise WrongUse("a weight is a torque only on a lever: give its length with --arm, such as --arm 50mm")
     _wait("leave the lever in place without a weight; the cell is tared", yes=yes)

@@ -36,7 +36,7 @@ def out(text: str, *, is_drawn: bool = False) -> None:
     be written.
     """
     if error := _written(text, sys.stdout, is_drawn=is_drawn):
-        raise WrongUse(f"standard output cannot be written ({error.strerror or error}): send it elsewhere")
+        raise WrongUse(f"standard output cannot be written ({error.strerror or error}): redirect it to a file")
 
 
 class _Quiet:

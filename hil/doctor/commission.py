@@ -75,7 +75,9 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
     commissioning or the result cannot be stored, and Untrustworthy if the trials give no clear result.
     """
     if stand.stand.backend in NOTHING_TURNS:
-        raise WrongUse(f"backend {stand.stand.backend!r} drives nothing real: it needs no commissioning")
+        raise WrongUse(
+            f"backend {stand.stand.backend!r} drives no real motor, so it needs no commissioning: omit --commission"
+        )
     reduced = _reduced(stand)
     made: dict[str, Trial | None] = {}
     for name, words, trial in _TRIALS:
@@ -124,7 +126,7 @@ def _kept(checks: CheckList, info: ServoInfo, mode: Quantity, trials: tuple[Tria
     if watched.left.releases is None:
         raise Untrustworthy(
             f"whether the drive releases its torque cannot be decided: after {watched.seconds:.2g} s without a command "
-            f"it showed {watched.left.words}. Nothing was kept: raise limits.torque or add a "
+            f"it showed {watched.left.words}. No result was stored: raise limits.torque or add a "
             "torque cell"
         )
     outcome = Commissioning(

@@ -177,7 +177,7 @@ def _move(
     if outcome.error is not None:
         checks.failed("move", str(outcome.error))
     elif jog is None:
-        checks.failed("move", "it was stopped before enough was read")
+        checks.failed("move", "it was stopped before there were enough readings: run it again")
     else:
         _check_jog(checks, jog, servo.info)
 

@@ -73,7 +73,7 @@ def check_readings(checks: CheckList, stand: Stand, samples: list[Sample]) -> bo
         return False
     if not np.isfinite(joint if source == "joint" else torque).any():
         remedy = ": add [joint_sensor]" if source == "joint" else ""
-        checks.failed("readings", f"torque_source = {source!r}, but no torque is reported there{remedy}")
+        checks.failed("readings", f"torque_source = {source!r}, but no torque is read from it{remedy}")
         return False
     words = [f"motor at {position[-1]:.4g} rad, noise {np.std(position) * 1e3:.2g} mrad"]
     for name, values in (("motor", torque), ("joint", joint)):
@@ -90,7 +90,7 @@ def check_readings(checks: CheckList, stand: Stand, samples: list[Sample]) -> bo
 def _check_sensor(checks: CheckList, samples: list[Sample]) -> None:
     read = [sample for sample in samples if math.isfinite(sample.t_joint)]
     if not read:
-        checks.failed("joint sensor", "it gave no reading: check its port, its baud rate and its power")
+        checks.failed("joint sensor", "the joint sensor gave no reading: check its port, its baud rate and its power")
         return
     span = max(samples[-1].t_read - samples[0].t_read, 1e-9)
     rate = len({sample.t_joint for sample in read}) / span

@@ -161,7 +161,7 @@ def try_silence(servo: Servo, load: Load) -> Trial:
     seconds = silence(servo.info)
     own = inner(servo)
     if not isinstance(own, FallsSilent):
-        raise DriverError(f"the adapter of {servo.info.backend} cannot leave its drive alone under torque")
+        raise DriverError(f"the adapter of {servo.info.backend} cannot stop sending commands to its drive under torque")
     own.fall_silent()
     servo.clock.sleep_until(servo.clock.now() + seconds)
     try:

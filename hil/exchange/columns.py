@@ -68,7 +68,7 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
         found = bags.columns(source, topic, joint)
         return _whole(source, _Columns(list(found), found.__getitem__))
     if source.suffix.lower() in {".h5", ".hdf5", ".part"}:
-        raise WrongUse(f"{source} is HDF5 by its name: hil identify reads a recording as it is; export others as CSV")
+        raise WrongUse(f"{source} is HDF5 by its name: a recording of hil needs no import; save other HDF5 as CSV")
     if source.suffix.lower() in _FILES and topic is None and joint is None:
         return _whole(source, _columns(source))
     written = delimited.titles(source)

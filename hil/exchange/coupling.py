@@ -75,7 +75,7 @@ def of_json(table: Mapping[str, Any], name: str) -> Coupling:
     try:
         return _of_json(table, name)
     except (KeyError, TypeError, ValueError, AttributeError):
-        raise WrongUse(f"{name} lacks Kc or Bc, or a part of them: identify the recording again") from None
+        raise WrongUse(f"{name} lacks the value or interval of Kc or Bc: identify the recording again") from None
 
 
 def _of_json(table: Mapping[str, Any], name: str) -> Coupling:

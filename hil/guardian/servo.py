@@ -130,7 +130,7 @@ class GuardedServo:
         Raises DriverError if the servo cannot stop its own messages.
         """
         if not isinstance(self._servo, FallsSilent):
-            raise DriverError(f"{self.info.backend}: this adapter cannot leave its drive alone while the torque is on")
+            raise DriverError(f"{self.info.backend}: this adapter cannot stop sending commands while the torque is on")
         self._beating = False
         if self._guardian is not None:
             self._guardian.expect(_LONGEST_SILENCE)

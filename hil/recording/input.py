@@ -45,7 +45,7 @@ def read_text(path: Path, *, largest: int) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise WrongUse(f"{path} cannot be read as text (byte {error.start} is none): save it in UTF-8") from None
+        raise WrongUse(f"{path} cannot be read as text (byte {error.start} is not UTF-8): save it in UTF-8") from None
 
 
 @contextmanager

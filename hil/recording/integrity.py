@@ -167,7 +167,7 @@ def legible(path: Path) -> Iterator[None]:
     except (WrongUse, Untrustworthy):
         raise
     except Exception as error:
-        raise WrongUse(f"{path} is damaged and cannot be read ({first_line(error)}): use a copy of it") from error
+        raise WrongUse(f"{path} is damaged and cannot be read ({first_line(error)}): use another copy") from error
 
 
 def first_line(error: Exception) -> str:
@@ -208,10 +208,10 @@ def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
     for group in (file, *(file.get(name) for name in ("samples", "events") if _is_hard(file, name))):
         for name in group if isinstance(group, h5py.Group) else ():
             if not _is_hard(group, name):
-                raise WrongUse(f"{path}: {name} is a link to somewhere else: such a file is not opened")
+                raise WrongUse(f"{path}: {name} is a link to somewhere else: hil does not open such a file")
             item = group[name]
             if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual):
-                raise WrongUse(f"{path}: {name} keeps its data in another file: such a file is not opened")
+                raise WrongUse(f"{path}: {name} keeps its data in another file: hil does not open such a file")
 
 
 def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]:
@@ -240,7 +240,7 @@ def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]
 def _check_size(samples: h5py.Group, rows: int, path: Path) -> None:
     stored = path.stat().st_size
     if rows * ROW.itemsize > max(_SMALL, _COMPRESSION * stored):
-        raise WrongUse(f"{path} declares {rows} rows in {stored} bytes, which no recording does: use a copy of it")
+        raise WrongUse(f"{path} declares {rows} rows in {stored} bytes, which no recording does: use another copy")
     for name in samples:
         chunk = math.prod(samples[name].chunks or ()) * samples[name].dtype.itemsize
         if chunk > _SMALL:

@@ -131,7 +131,7 @@ class Recording:
         if answer is None:
             raise WrongUse(
                 f"{self.path} is damaged so that the HDF5 library crashes on it, or takes more than {_TRIAL_TIME} s of "
-                "processor time or 512 MiB of memory to open it: use a copy of it"
+                "processor time or 512 MiB of memory to open it: use another copy of the file"
             )
         kind, _, message = answer.decode(errors="replace").partition(":")
         if message:
@@ -208,7 +208,7 @@ class Recording:
                 return self._live_events()
             group = self._group("events")
             if max(len(group[name]) for name in ("time", "code", "message")) > _MOST_EVENTS:
-                raise WrongUse(f"{self.path} declares more than {_MOST_EVENTS} events: use a copy of it")
+                raise WrongUse(f"{self.path} declares more than {_MOST_EVENTS} events: use another copy of the file")
             text = (group["code"].asstr()[()], group["message"].asstr()[()])
             rows = zip(group["time"], *text, strict=True)
             return [Event(float(time), str(code), str(message)) for time, code, message in rows]
@@ -337,7 +337,7 @@ class Recording:
     def _checked_live(self) -> h5py.Dataset:
         live = self._file["live"]
         if live.dtype not in {LIVE, ROW} or live.ndim != 1:
-            raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the hil that wrote it")
+            raise WrongUse(f"{self.path}: /live has other fields than {SCHEMA}: use the version of hil that wrote it")
         return live
 
 

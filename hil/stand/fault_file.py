@@ -48,7 +48,7 @@ class _Fault(_Table):
         if sum(value is not None for value in (self.at, self.frame, self.probability)) != 1:
             raise ValueError("give one of at (s), frame (number of the reply) and probability (of each reply)")
         if self.duration is not None and self.at is None:
-            raise ValueError("duration (s) goes with at; with frame, give count")
+            raise ValueError("duration (s) can only be used with at; with frame, give count")
         self.planned()  # raises for a size that the kind cannot have
         return self
 

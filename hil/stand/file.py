@@ -139,7 +139,7 @@ class Stand:
                 Diagnostic(
                     "calibration-changed",
                     f"joint_sensor.scale = {used} is not the calibrated {torque.scale:g} of {torque.date:%Y-%m-%d}: Kc "
-                    "and Bc follow the scale that stands there; repeat hil calibrate torque, or set it",
+                    "and Bc are computed with joint_sensor.scale; repeat hil calibrate torque, or correct the scale",
                 )
             )
         return found

@@ -117,7 +117,7 @@ def _said(address: str) -> Iterator[None]:
     try:
         yield
     except KilledWorker:
-        raise WrongUse(f"--cluster {address}: several workers died at the same task: is memory short there?") from None
+        raise WrongUse(f"--cluster {address}: several workers died at the same task: give them more memory") from None
     except CancelledError:
         raise WrongUse(f"--cluster {address}: the scheduler is gone: start it, and run the command again") from None
 

@@ -21,7 +21,7 @@ def refuse_with_each(given: Mapping[str, Any]) -> None:
     """Raise WrongUse if an option cannot be used with --each. given: value of each option, None if it was not given."""
     for name, value in given.items():
         if value is not None:
-            raise WrongUse(f"--{name} belongs to one identification: leave it out, or --each")
+            raise WrongUse(f"--{name} cannot be used with --each: leave out one of the two")
 
 
 def meets(found: IdentificationResult, required: tuple[str, ...]) -> bool:

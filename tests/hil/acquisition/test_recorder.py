@@ -201,8 +201,8 @@ def test_a_warm_motor_is_not_started(bench: Bench) -> None:
     ("rest", "message"),
     [
         ({"motor_position": math.nan}, "no position"),
-        ({"motor_position": 1e300}, "home it"),
-        ({"motor_position": -3.4e38}, "home it"),
+        ({"motor_position": 1e300}, "home the drive"),
+        ({"motor_position": -3.4e38}, "home the drive"),
         ({"joint_torque": math.nan}, "torque_source"),
     ],
 )

@@ -35,7 +35,7 @@ def test_every_kind_can_be_planned(tmp_path: Path) -> None:
         ("[[fault]]\nkind = 'drop'\nat = '1'\n", "line 3: at: '1' must be a number"),
         ("# plan\n[[fault]]\nkind = 'drop'\n", "line 2: .*give one of at"),
         ("[[fault]]\nkind = 'drop'\nat = 1\nframe = 2\n", "give one of at"),
-        ("[[fault]]\nkind = 'drop'\nframe = 1\nduration = 2\n", "duration .* goes with at"),
+        ("[[fault]]\nkind = 'drop'\nframe = 1\nduration = 2\n", "duration .* can only be used with at"),
         ("[[fault]]\nkind = 'delay'\nat = 1\nsize = -1\n", "line 1: fault: size -1: give a number from 0 to 60 .s"),
         ("[[fault]]\nkind = 'truncate'\nat = 1\nsize = 2.5\n", "size 2.5: give a whole number from 1 .* .bytes"),
         ("[[fault]]\nkind = 'drop'\nat = 1\nsize = 1\n", "size 1: this kind has none"),
