@@ -9,6 +9,9 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+# before numpy is imported: every core has a worker of its own, and more threads only wait for each other
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import pytest
 from hypothesis import settings
 
@@ -21,9 +24,6 @@ from .budget import (  # noqa: F401 - hooks
     pytest_sessionfinish,
     pytest_terminal_summary,
 )
-
-# every core has a worker of its own: more threads of linear algebra than that only wait for each other
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 settings.register_profile("hil", deadline=None)  # a busy computer makes no example wrong
 settings.load_profile("hil")
