@@ -38,7 +38,9 @@ _RESOLVED: Final = 500
 """The fraction of a cell's rows below which a partly decided group is listed as a whole."""
 
 _STEP: Final = 2
-"""The number of binary digits by which a cell is smaller than its parent, in each direction."""
+"""The number of binary digits by which a cell is smaller than its parent in each direction: each digit halves the
+width.
+"""
 
 
 @compiled_inline

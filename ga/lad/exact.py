@@ -19,9 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _RANK: Final = 1e-10
-"""The smallest independent fraction of a column's length: a column of which less is independent of the others is
-ignored.
-"""
+"""The fraction of a column's length that must be independent of the other columns; a column with less is ignored."""
 
 _PERTURBATIONS: Final = (0.0, 1e-11, 1e-9, 1e-7)
 """Perturbations of the torque, relative to the mean torque, tried in turn until one gives a certificate; the second

@@ -172,7 +172,9 @@ class CouplingModel:
         return np.asarray(~(held | beside_rest(motion, held) | unseen))
 
     def delay(self, nonlinear: Array | None) -> float:
-        """Return how much older the torque reading is than the angle's, s, for (q,); 0 without a term for a delay."""
+        """Return the age of the torque reading less that of the angle's, s; 0 without a term for it. nonlinear:
+        (q,).
+        """
         return next((float(values[0]) for term, values in self._valued(nonlinear) if term.delays), 0.0)
 
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array:

@@ -60,8 +60,9 @@ class Spline:
 
 
 def _slopes(knots: Array, values: Array) -> Array:
-    """Return the slopes (k, n) that make the second derivative continuous, and beside the ends the third derivative
-    too.
+    """Return the slopes (k, n) at the knots that make the second derivative of the curves continuous.
+
+    At the second and the last but one knot the third derivative is continuous too.
     """
     if len(knots) < _FEWEST:
         return np.asarray(np.gradient(values, knots, axis=1, edge_order=2 if len(knots) > 2 else 1))

@@ -56,7 +56,7 @@ BETWEEN: Final = 3.0
 """The ratio of the standard deviation between recordings to that within, from which the recordings really differ."""
 
 DIFFERENT: Final = 3.0
-"""The ratio of two values of Kc in one recording, from which no single Kc describes both."""
+"""The ratio between two values of Kc in one recording above which a single Kc cannot describe both."""
 
 FRICTION: Final = 0.5
 """The ratio of friction to torque from which Kc depends on how friction is modelled."""

@@ -153,9 +153,9 @@ class _Steps:
 
     compared: the number of terms from which each step chooses the best one. rare: rare terms, considered because no
     model without them describes the recording. is_enough: a function that returns whether a model with a rare term
-    describes the recording. Further rare terms would then be fitted to errors of deflection and rate, and the
-    lack-of-fit tests leave out samples that could show such terms. beside: terms that no step includes, but with which
-    the chosen model is compared. passed: the models that the steps included on the way.
+    describes the recording. If it does, a further term must be common and explain more torque than all errors of
+    deflection and rate, to which the term would otherwise be fitted. beside: terms that no step includes, but with
+    which the chosen model is compared. passed: the models that the steps included on the way.
     """
 
     fits: Fits
