@@ -145,8 +145,8 @@ def _sum(terms: Vector) -> float:
 
 
 def _factor(work: _Work, count: int) -> bool:
-    """Fill in the triangular matrix whose square is gram / count, and its inverse; return False if a column is a
-    combination of others.
+    """Fill in the Cholesky factor of gram / count, and the inverse of this factor; False if a column depends on
+    others.
     """
     gram, forward, backward = work.gram, work.forward, work.backward
     p = len(gram)

@@ -66,10 +66,10 @@ REMEDY = {
 
 @compiled_no_refcount
 def run(memory: Vector, path: Path, constants: Packed, until: float) -> int:
-    """Simulate plant and firmware up to `until`, s, or up to the first fault. Return the code of the fault, 0 if there
-    is none.
+    """Simulate plant and firmware up to `until`, s, or up to the first fault. Return the code of the fault, 0 for none.
 
-    memory: the firmware's variables, (PLACES,). path: state and past of the plant. constants: constants of the plant.
+    memory (PLACES,): the firmware's variables. path: the present state of the plant and its recorded history. Both
+    arrays are updated. constants: constants of the plant.
     """
     while True:
         end, beat = until, math.inf

@@ -117,7 +117,10 @@ def scatter(rules: Rules, population: Population) -> None:
 
 
 def scatter_around(rules: Rules, start: Start, population: Population) -> None:
-    """Draw every chromosome uniformly in the start's cube, and within the bounds."""
+    """Replace every chromosome by a random one, drawn uniformly in a cube around the start and limited to the bounds.
+
+    start: the centre and the size of the cube.
+    """
     for child in population.genes:
         for _ in range(REDRAWS):
             place = start.reach * (2.0 * uniforms(population.generator, child.size) - 1.0)

@@ -43,10 +43,11 @@ class Stopped(Exception):
 
 
 def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
-    """Make every recording of the plan that is missing. A failure is written into the journal, and the next recording
+    """Make every recording of the plan that is missing. A failure is written into the journal, and the next one
     follows.
 
-    Raises Stopped; raises DriverError if the torque of a drive may still be on, and then nothing else is recorded.
+    desk: the interface to the person at the stand. Raises Stopped if that person ends the campaign; raises DriverError
+    if the torque of a drive may still be on, and then nothing else is recorded.
     """
     due = [run for run in plan.runs if not journal.is_done(run)]
     with writing(plan.folder):

@@ -75,7 +75,11 @@ class Prediction:
     inflation: float
 
     def relative(self, scatter: float = 1.0) -> float:
-        """Return the root mean square error divided by `rough`. scatter: factor on the standard error."""
+        """Return the root mean square error (bias and standard error together), relative to the rough value of the
+        parameter.
+
+        scatter: a factor on the standard error.
+        """
         return math.hypot(scatter * self.error, self.bias) / self.rough
 
 

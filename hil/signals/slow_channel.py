@@ -284,10 +284,11 @@ def _numbered(steps: Array) -> Array:
 
 
 def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, float]:
-    """Return evenly paced times (m,), s, between `before` and `shown` (m,), s, and the range of their middle, s.
+    """Return conversion times (m,), s, at a constant period, each between `before` and `shown` (m,), s.
 
-    number (m,): the index of each reading. Of all paces that fit, the pace farthest from its limits is chosen. The last
-    result is the difference, s, that the other paces make over the whole recording.
+    number (m,): the index of each reading. before: the last time at which a reading was not shown yet; shown: the first
+    time at which it was. Of all periods that fit, the one in the middle is chosen. Also returned, in s: the range of
+    the common shift of all times, and the largest shift over the whole recording that another period would make.
     """
     from scipy.optimize import linprog
 

@@ -30,7 +30,9 @@ from hil.plugins import plugins
 
 @runtime_checkable
 class HasMode(Protocol):
-    """The interface of a table whose device takes either torques or positions, depending on its mode."""
+    """The interface of a table of the stand file, such as [moteus], whose device is commanded in torque or in
+    position.
+    """
 
     def for_quantity(self, quantity: Quantity) -> Self:
         """Return the table with the mode in which the device takes `quantity`. Raises ValueError if there is no such

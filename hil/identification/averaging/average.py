@@ -239,7 +239,10 @@ def _about(value: float, mean: Averaged) -> Averaged:
 
 
 def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
-    """Return Kc and Bc averaged over all models contained in the largest one; {} if that is impossible."""
+    """Return Kc and Bc averaged over all models contained in the largest one; {} if no such average exists.
+
+    doubtful: the terms for which the data do not decide, with the cost of each.
+    """
     names, sampling = largest.names, largest.sampling
     costs = largest.costs(doubtful)
     found = average(

@@ -123,9 +123,10 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
 
 
 def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:
-    """Return how much noisier the recorded rate `given` is than the derivative `derived`; None if it is not.
+    """Return by how much the recorded rate `given` is noisier than the derivative `derived`; None if it is not.
 
-    The torque follows the less noisy rate better.
+    The torque is fitted with a spring and a damper, once with each rate: the noisier rate leaves larger residuals.
+    dtheta: deflection, rad.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
     target = torque[good]

@@ -147,7 +147,10 @@ def kernels(half: int, order: int, samples: Array) -> Array:
 
 
 def gain(half: int, order: int, cycles: float) -> float:
-    """Return the gain of the derivative of `order` for a sine of `cycles` periods per sample, on an even grid."""
+    """Return the gain of a derivative for a sine of `cycles` periods per sample, on an even grid.
+
+    half: neighbours on each side of a sample in the window. order: of the derivative; 0: smoothing only.
+    """
     offsets = np.arange(-half, half + 1, dtype=np.float64)
     omega = 2.0 * math.pi * cycles
     wave = np.cos(omega * offsets) if order % 2 == 0 else np.sin(omega * offsets)
