@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -60,8 +61,9 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.fixture(autouse=True)
 def nothing_is_left_running() -> Iterator[None]:
-    before = set(threading.enumerate())
+    before, tracer = set(threading.enumerate()), sys.gettrace()
     yield
+    sys.settrace(tracer)  # what a signal raises while coverage is at work ends it for all tests to come
     # numba keeps its own pool for the life of the process; everything else a test starts, it ends
     left = [thread for thread in threading.enumerate() if thread not in before and thread.is_alive()]
     assert left == []
