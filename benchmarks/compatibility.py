@@ -302,7 +302,7 @@ SESSIONS = [
     Session("feetech-servo-sdk", "feetech", FEETECH_MODELS, of_feetech_sdk),
     Session("moteus", "moteus", ["moteus"], of_moteus),
     Session("robstride", "robstride", ["rs01"], of_robstride),
-    Session("robstride-dynamics", "robstride", [f"rs0{number}" for number in range(7)], of_robstride_dynamics),
+    Session("robstride-dynamics", "robstride", ["rs00", "rs01", "rs03"], of_robstride_dynamics),
     Session("odrive-can", "odrive", ["0.5.6"], of_odrive_can),
     Session("canopen", "cia402", ["epos4", "epos2", "generic"], of_canopen),
     Session("damiao-motor", "mit", list(DAMIAO), of_damiao_motor),

@@ -15,15 +15,16 @@ from hil.cli.terminal import UNTRUSTWORTHY, detail, out
 
 def demo(output: options.Folder = Path("hil-demo")) -> None:
     """Run the main job on the simulated servo: record a chirp, identify, write the report, compare with the truth."""
-    detail("1 of 3: recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint; the first run compiles it first ...")
-    from hil.api.analysis import identify
-    from hil.api.recordings import load
     from hil.recording.output import check_output, next_free
-    from hil.report.identification import truth_lines
 
     path = next_free(output)
     page = path.with_suffix(".html")
     check_output(page, force=False)
+    detail("1 of 3: recording a 20 s chirp, 0.1 to 15 Hz, on the simulated joint; the first run compiles it first ...")
+    from hil.api.analysis import identify
+    from hil.api.recordings import load
+    from hil.report.identification import truth_lines
+
     record(backend="sim", note="hil demo", output=path)
     detail("2 of 3: identifying stiffness and damping ...")
     with progress() as show:

@@ -142,8 +142,8 @@ def test_a_result_that_must_not_be_trusted_is_not_exported() -> None:
         ("", "a.json is empty"),
         ("[1]", "is no result of hil identify: write one with"),
         ('{"schema": "other/1"}', "schema 'other/1'"),
-        (json.dumps(result(parameters={})), "lacks Kc or Bc"),
-        (json.dumps(result(parameters=3)), "lacks Kc or Bc"),
+        (json.dumps(result(parameters={})), "lacks the value or interval of Kc or Bc"),
+        (json.dumps(result(parameters=3)), "lacks the value or interval of Kc or Bc"),
         ("[" * 100_000, "is no result of hil identify"),
     ],
 )
