@@ -57,7 +57,7 @@ def fitted(bench: Any, path: Path) -> tuple[float, float, float]:
 def test_a_chirp_through_the_wire_gives_stiffness_and_damping_back(tmp_path: Path, name: str) -> None:
     """A set-point is held for a tick: torque and angle may be half a tick apart, and a cell's reading comes later."""
     bench = BENCHES[name]
-    recorded(bench, tmp_path)
+    recorded(bench, tmp_path, 1.5 if name in FAMILIES else 3.0)  # a few of the others have 1024 counts in 300 degrees
     kc, bc, late = fitted(bench, tmp_path)
     assert kc == pytest.approx(1.0, abs=0.002)
     assert bc == pytest.approx(1.0, abs=0.1)

@@ -80,8 +80,9 @@ def read(reader: Reader, block: Block) -> None:
 @pytest.mark.study
 def test_the_notebook_runs_from_its_first_cell_to_its_last_twice(tmp_path: Path) -> None:
     (tmp_path / "first_steps.py").write_text(notebook_program(), encoding="utf-8")
+    reader = Reader(tmp_path)
     for _ in range(2):
-        printed = Reader(tmp_path).paste("python first_steps.py")
+        printed = reader.paste("python first_steps.py")
         assert "Kc = 17." in printed
 
 
