@@ -156,7 +156,7 @@ def covering(data: coverage.CoverageData, path: str, line: int, *, machine: bool
     """Return the tests that run a line; for a compiled function, the folder of tests that mirrors the module's."""
     measured = [name for name in data.measured_files() if name.endswith("/" + path)]
     tests = {
-        context.partition("|")[0]
+        context.rpartition("|")[0]
         for name in measured
         for context in data.contexts_by_lineno(name).get(line, [])
         if context
@@ -212,6 +212,8 @@ def judged(path: Path, source: str, tests: list[str], only: str) -> tuple[str, s
             path.write_text(before, encoding="utf-8")
     if child.returncode == 0:
         return "survived", ""
+    if child.returncode < 0:
+        return "killed", f"ended by signal {-child.returncode}"
     reasons = [line for line in printed.splitlines() if line.startswith(("FAILED", "ERROR"))]
     return ("killed", reasons[0][:160]) if reasons else ("not run", printed[-200:].replace("\n", " "))
 
