@@ -32,15 +32,17 @@ class OffPath:
 
     off: frames that switch the torque off; they need no reply and may be repeated. restore: frames that then restore
     the drive's settings, in their order. resync: bytes that end a frame which was cut off in the middle. descriptor:
-    file descriptor of the open port or socket, which a child process inherits; -1 if there is none. to: address and
-    port to which a datagram socket sends. bus: the bus to open if there is no descriptor; the frames are slcan text
-    then. interval: s between two sendings of `off`. name: name of the link in messages.
+    file descriptor of the open port or socket, which a child process inherits; -1 if there is none. lock: descriptor
+    of the link's lock, which the child inherits too, so that nobody else opens the link before the torque is off. to:
+    address and port to which a datagram socket sends. bus: the bus to open if there is no descriptor; the frames are
+    slcan text then. interval: s between two sendings of `off`. name: name of the link in messages.
     """
 
     off: tuple[bytes, ...]
     restore: tuple[bytes, ...] = ()
     resync: bytes = b""
     descriptor: int = -1
+    lock: int = -1
     to: tuple[str, int] | None = None
     bus: OwnBus | None = None
     interval: float = INTERVAL

@@ -71,9 +71,8 @@ def confirm_torque_off(servo: Servo, driven: Driven | None = None) -> TorqueOff:
 
     driven: given if the motor was driven: then the drive's confirmation is checked. Torque-off is not confirmed if
     several readings still show more than a tenth of the torque limit. For a drive that measures no torque while off, it
-    is not confirmed if the motor stays at the angle to which the last torque had turned it. After these readings
-    torque-off is requested once more. No interrupt ends this function early: a motor under torque is worse than any
-    delay.
+    is not confirmed if the motor stays at the angle to which the last torque had turned it. No interrupt ends this
+    function early: a motor under torque is worse than any delay.
     """
     last: BaseException | None = None
     for _ in range(_CALLS):
@@ -83,7 +82,7 @@ def confirm_torque_off(servo: Servo, driven: Driven | None = None) -> TorqueOff:
             last = error
         else:
             interrupt = None if isinstance(last, Exception) else last
-            return TorqueOff(True, interrupt) if driven is None else _once_more(servo, _read(servo, driven, interrupt))
+            return TorqueOff(True, interrupt) if driven is None else _read(servo, driven, interrupt)
         try:
             servo.clock.sleep_until(servo.clock.now() + _PAUSE)
         except BaseException as error:  # noqa: BLE001 - see above
@@ -132,16 +131,3 @@ def _angle_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
         f"the drive says that it is off, measures no torque then, and {left * 100.0:.0f} % of its last deflection "
         "stays: it still pulls, or friction keeps the cable under tension"
     )
-
-
-def _once_more(servo: Servo, result: TorqueOff) -> TorqueOff:
-    """Request torque-off again after the readings: a faulty driver may have sent a set-point instead of only reading.
-    Never raises.
-    """
-    try:
-        servo.disarm()
-    except Exception:  # noqa: BLE001 - it has confirmed the first one
-        return result
-    except BaseException as error:  # noqa: BLE001 - to be obeyed once the torque is off
-        return result._replace(error=result.error or error)
-    return result

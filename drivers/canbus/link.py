@@ -1,17 +1,20 @@
 """Send and receive frames on a CAN bus with python-can. Every wait has a limit, and every error is a `DriverError`.
 
-This module corrects python-can in five places. python-can's `recv` measures its wait with the wall clock, which may be
-set; here a monotonic deadline is used. python-can's slcan interface raises for ever after one byte above 0x7F, waits 2
-s to open, and takes no lock; these faults are corrected. python-can reads configuration files; here they are ignored.
-python-can accepts a frame with fewer bytes than its length code says; here it is refused. udp_multicast returns the
-frames that this program sent; `drivers.canbus.multicast` drops them.
+This module corrects python-can in six places. python-can's `recv` measures its wait with the wall clock, which may be
+set; here a monotonic deadline is used. python-can's slcan interface raises for ever after one byte above 0x7F and
+waits 2 s to open. python-can lets two programs command one bus; here a bus has one owner. python-can reads
+configuration files; here they are ignored. python-can accepts a frame with fewer bytes than its length code says; here
+it is refused. udp_multicast returns the frames that this program sent; `drivers.canbus.multicast` drops them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import logging
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -19,6 +22,7 @@ import serial
 
 from drivers.canbus.off_path import Encode, datagram, encoded, from_slcan_text, slcan_text, socketcan_bytes
 from drivers.off_path import OffPath, OwnBus, descriptor_of
+from drivers.owner import Claim
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
 from drivers.uart.port import GONE, REMEDIES
 
@@ -26,6 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from drivers.clock import Clock
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # its errors are raised; it would also print them
 
 WRITE_TIMEOUT = 0.1
 """s in which the interface must accept a frame; without a limit a stuck adapter would block this program for ever."""
@@ -37,12 +43,18 @@ _SLCAN_SETTLE = 0.05
 _PATIENCE = 0.05  # s for a frame that the bus does not accept
 
 _REMEDIES = REMEDIES | {
+    errno.EBUSY: "another program has it open: close that first",
     errno.ENODEV: "there is no such interface: check the adapter, and the name with `ip link`",
     errno.ENOENT: "there is no such port: check the adapter and the name",
     errno.ENETDOWN: "the interface is down: bring it up with `ip link set NAME up type can bitrate N`",
     errno.EAFNOSUPPORT: "this system has no SocketCAN: use interface = 'slcan' or the adapter's own",
 }
-_UNKNOWN = "it cannot be opened"
+_UNKNOWN = (
+    "the bus cannot be opened: install the driver and the library of the adapter's maker, and check interface, channel "
+    "and bit rate in the stand file"
+)
+_SERIAL = frozenset({"slcan", "serial", "robotell", "seeedstudio"})
+"""The interfaces of python-can whose channel is a serial port."""
 _GONE: tuple[type[Exception], ...] = (can.CanError, *GONE)
 _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyError)
 """The errors that slcan raises, or wraps, for bytes that do not form a frame; UnicodeDecodeError is a ValueError."""
@@ -106,27 +118,30 @@ def _options(config: BusConfig) -> dict[str, Any]:
     return {"timing": timing, **settle} if settle else {"timing": timing, "fd": True}
 
 
+def claimed(config: BusConfig) -> Claim:
+    """Return the lock of the bus that `config` names. Raises DriverError, which names the process that has it open.
+
+    It is taken before anything is opened: python-can resets some adapters while it opens them.
+    """
+    channel = config.channel.strip()
+    if config.interface in _SERIAL and "://" not in channel:
+        return Claim(config.name, Path(channel.partition("@")[0]))
+    where = f"{os.getpid()} " if config.interface == "virtual" else ""  # a bus of this process alone
+    with contextlib.suppress(ValueError):
+        channel = str(int(channel))
+    return Claim(f"{where}{config.interface} {channel.casefold()}")
+
+
 def open_interface(config: BusConfig) -> can.BusABC:
     """Open and return the python-can bus that `config` names. Raises DriverError with the remedy."""
     try:
-        if config.interface == "slcan":
-            _check_free(config)
         if config.interface == "udp_multicast":
             return _multicast(config.channel)
         bus: can.BusABC = can.Bus(
             interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
         )
-    except (can.CanInterfaceNotImplementedError, ImportError, NotImplementedError) as error:
-        raise DriverError(
-            f"CAN interface {config.interface!r} cannot be used here: install what it needs, or correct its name "
-            f"({error})"
-        ) from None
-    except (*_GONE, *_GARBLED) as error:
-        raise DriverError(f"{config.name}: {_remedy(error)} ({error})") from None
-    port = getattr(bus, "serialPortOrig", None)
-    if port is not None:
-        with contextlib.suppress(ValueError, OSError):  # no locks on this platform
-            port.exclusive = True
+    except Exception as error:  # noqa: BLE001 - an interface raises what the library of its adapter's maker raises
+        raise DriverError(f"{config.name}: {_remedy(error)} ({type(error).__name__}: {error})") from None
     return bus
 
 
@@ -136,26 +151,17 @@ def _multicast(channel: str) -> can.BusABC:
     return MulticastBus(channel)
 
 
-def _check_free(config: BusConfig) -> None:
-    """Raise DriverError if another program has the serial adapter open: python-can would close its channel."""
-    if "://" in config.channel:
-        return
-    try:
-        serial.Serial(config.channel.partition("@")[0], exclusive=True).close()
-    except serial.SerialException as error:
-        if "lock" in str(error):
-            raise DriverError(f"{config.name}: {_REMEDIES[errno.EBUSY]} ({error})") from None
-        raise
+def _errno(error: BaseException | None) -> int:
+    """Return the errno of `error` or of its cause, 0 without one. A CanError's `error_code` may be a maker's own."""
+    while error is not None:
+        if number := getattr(error, "errno", None):
+            return int(number)
+        error = error.__cause__ or error.__context__
+    return 0
 
 
 def _remedy(error: BaseException) -> str:
-    cause: BaseException | None = error
-    while cause is not None:
-        number = getattr(cause, "error_code", None) or getattr(cause, "errno", None)
-        if number in _REMEDIES:
-            return _REMEDIES[number]
-        cause = cause.__cause__ or cause.__context__
-    return _UNKNOWN
+    return _REMEDIES.get(_errno(error), _UNKNOWN)
 
 
 class CanLink:
@@ -170,7 +176,12 @@ class CanLink:
         self._opened_here = bus is None
         self.error_frames = 0
         self._clock = clock
-        self._bus = bus or open_interface(config)
+        self._claim = None if bus else claimed(config)
+        try:
+            self._bus = bus or open_interface(config)
+        except BaseException:
+            self._release()
+            raise
         self._port = getattr(self._bus, "serialPortOrig", None)
         """The serial port of slcan, None for every other interface."""
         self._closed = False
@@ -244,6 +255,8 @@ class CanLink:
             encode, where = datagram, {"descriptor": descriptor_of(bus), "to": (config.channel, PORT)}
         else:
             where = {"bus": OwnBus(config.interface, config.channel, config.bitrate, config.data_bitrate)}
+        if self._claim is not None:
+            where["lock"] = self._claim.descriptor
         return OffPath(encoded(off, encode), encoded(restore, encode), name=self.name, **where)
 
     def close(self) -> None:
@@ -256,6 +269,11 @@ class CanLink:
         if self._port is not None:  # slcan leaves its port open where the closing command could not be written
             with contextlib.suppress(*_GONE):
                 self._port.close()
+        self._release()
+
+    def _release(self) -> None:
+        if self._claim is not None:
+            self._claim.release()
 
     def _next(self, timeout: float) -> can.Message | None:
         if timeout <= 0.0 and self._port is not None and not self._unread():
@@ -297,7 +315,7 @@ class CanLink:
 
 def _is_full(error: Exception) -> bool:
     """Return whether `error` means that the send queue of SocketCAN or of the serial adapter is full."""
-    if getattr(error, "error_code", None) == errno.ENOBUFS or getattr(error, "errno", None) == errno.ENOBUFS:
+    if _errno(error) == errno.ENOBUFS:
         return True
     return "buffer full" in str(error) or isinstance(error.__cause__, serial.SerialTimeoutException)
 

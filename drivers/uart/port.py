@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+from pathlib import Path
 from typing import Protocol
 
 import serial
 
+from drivers.owner import holder, in_use
 from drivers.servo import DriverError
 
 GONE: tuple[type[Exception], ...] = (serial.SerialException, OSError)
@@ -17,7 +19,6 @@ with contextlib.suppress(ImportError):  # POSIX only
     import termios
 
     GONE += (termios.error,)
-_NOT_OPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
 POLL = 2e-3
 """s that one read waits for bytes: a deadline is exceeded by no more than this."""
@@ -28,9 +29,8 @@ REMEDIES = {
     errno.ENOENT: "there is no such port: check the cable, and the name with `hil doctor`",
     errno.EACCES: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
     errno.EPERM: "no permission: add yourself to the group that owns it (dialout on Linux), then log in again",
-    errno.EBUSY: "another program has it open: close that first",
-    errno.EWOULDBLOCK: "another program has it open: close that first",
 }
+_TAKEN = frozenset({errno.EBUSY, errno.EWOULDBLOCK})
 
 
 class OpenPort(Protocol):
@@ -57,14 +57,13 @@ def open_port(name: str, baudrate: int) -> serial.Serial:
     """Open the port `name` at `baudrate` bit/s. Raises DriverError with the remedy."""
     try:
         port = serial.Serial(name, baudrate, timeout=POLL, write_timeout=WRITE_TIMEOUT, exclusive=True)
-    except _NOT_OPENED as error:
+    except Exception as error:  # noqa: BLE001 - pyserial passes on what a port's driver and its conversions raise
         number = getattr(error, "errno", None)
-        if number is None and "lock" in str(error):
-            number = errno.EWOULDBLOCK
-        known = REMEDIES.get(number or 0, "")
-        raise DriverError(
-            f"{name}: {known or f'it cannot be opened ({os.strerror(number) if number else error})'}"
-        ) from None
+        if number in _TAKEN or (number is None and "lock" in str(error)):
+            raise in_use(name, holder(Path(name))) from None
+        reason = os.strerror(number) if number else f"{type(error).__name__}: {error}"
+        known = REMEDIES.get(number or 0, f"it cannot be opened ({reason}): check port and baud rate in the stand file")
+        raise DriverError(f"{name}: {known}") from None
     with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
         port.set_low_latency_mode(True)  # a USB adapter may hold bytes back for 16 ms; a pty has no such mode
     return port

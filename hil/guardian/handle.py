@@ -72,7 +72,7 @@ class Guardian:
                 command("hil.guardian.process", json.dumps(way)),
                 stdin=heard,
                 stdout=answer,
-                pass_fds=[number for number in (path.descriptor, self._words.descriptor) if number >= 0],
+                pass_fds=[number for number in (path.descriptor, path.lock, self._words.descriptor) if number >= 0],
                 start_new_session=True,
                 cwd="/",
             )

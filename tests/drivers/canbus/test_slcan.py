@@ -89,7 +89,7 @@ def config(line: PtyLine, **changes: object) -> OdriveConfig:
 def test_a_drive_behind_a_serial_adapter_runs_and_a_pulled_plug_is_a_lost_link(line: tuple[PtyLine, CanBus]) -> None:
     served, bus = line
     servo = OdriveServo(config(served))
-    with pytest.raises(DriverError, match="another program has it open"):
+    with pytest.raises(DriverError, match="open in this program already"):
         OdriveServo(config(served))
     servo.arm(LIMITS)
     for _ in range(20):

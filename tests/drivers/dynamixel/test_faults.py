@@ -90,7 +90,7 @@ def test_a_port_that_another_program_holds_is_refused(tmp_path: Path) -> None:
     with PtyLine(tmp_path / "tty", bus) as line:
         bus.devices.append(DynamixelDevice("xl330-m288", now=line.now()))
         first = DynamixelServo(config(line.link, reply_timeout=0.3, watchdog=1.0))
-        with pytest.raises(DriverError, match="another program has it open"):
+        with pytest.raises(DriverError, match="open in this program already"):
             DynamixelServo(config(line.link))
         first.close()
 

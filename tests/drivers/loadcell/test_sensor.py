@@ -265,7 +265,7 @@ def test_a_cell_on_a_pty_is_read_and_a_second_program_is_kept_off(tmp_path: Path
     with PtyLine(tmp_path / "ttyCELL", EmulatedLoadCell(LoadCellBoard(rate=500.0), now=time.monotonic())) as line:
         config = replace(CONFIG, port=str(line.link))
         cell = LoadCell(config, clock=MonotonicClock())
-        with pytest.raises(DriverError, match="another program has it open"):
+        with pytest.raises(DriverError, match="open in this program already"):
             LoadCell(config, clock=MonotonicClock())
         t, torque = cell.read()
         assert t <= MonotonicClock().now()

@@ -282,7 +282,7 @@ def test_a_torque_off_that_is_not_confirmed_is_shouted_over_an_earlier_error(ben
 def test_a_torque_off_is_requested_until_it_is_confirmed(bench: Bench) -> None:
     bench.servo.disarm_error, bench.servo.heard_after = NoReply("a moment's silence"), 7
     outcome = bench.run()
-    assert (bench.servo.disarms, bench.servo.armed) == (8, False)  # once more after the torque was read
+    assert (bench.servo.disarms, bench.servo.armed) == (7, False)
     assert (outcome.alarm, outcome.error, outcome.end_reason) == ("", None, "done")
     assert bench.servo.clock.t - 102.16 == pytest.approx(6 * 0.05)
 
@@ -570,7 +570,7 @@ def test_a_tick_more_than_fifty_milliseconds_late_is_the_last(tmp_path: Path) ->
     run = Stalled(tmp_path, 51e-3)
     assert isinstance(run.outcome.error, LimitReached)
     assert len(run.servo.driven) == 1000
-    assert (run.servo.armed, run.servo.disarms) == (False, 2)  # once more after the torque was read
+    assert (run.servo.armed, run.servo.disarms) == (False, 1)
 
 
 class Slow:
