@@ -67,7 +67,7 @@ WORDS = {
     "--motor-torque": ("q",), "--motor-position": ("p",), "--time-unit": ("s", "ms", "N*m"),
     "--torque-unit": ("N*m", "mN*m", "deg"), "--dtheta-unit": ("rad", "deg", "s"),
     "--where": ("t>1", "p==0", "q", "nope==1", "t==nan", "t<-1e300"), "--topic": ("/joint_states", ""),
-    "--cluster": ("tcp://127.0.0.1:1", "nonsense"), "--link": ("./tty", "good.h5", "folder"),
+    "--link": ("./tty", "good.h5", "folder"),
     "--kc": ("0.3", "20 mN*m/rad"), "--bc": ("3e-3", "0.2 mN*m*s/rad"), "--torque-noise": ("1e-3",),
     "--evaluations": ("1000", "200"), "--trials": ("1", "2"), "--generations": ("3", "20"), "--population": ("3", "10"),
     "--workers": ("1", "2"), "--seed": ("0", "7", "9223372036854775807"), "--generation": ("1",),

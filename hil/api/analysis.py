@@ -197,7 +197,6 @@ def identify(
     workers: int | None = None,
     checkpoint: AnyPath | None = None,
     fixture: AnyPath | None = None,
-    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> IdentificationResult:
     """Find the stiffness Kc and damping Bc of the coupling from one recording, or from several recordings together.
@@ -208,7 +207,7 @@ def identify(
     (docs/paper.md). bounds: lowest and highest value by parameter, SI. workers: number of threads; None: one a core.
     checkpoint: a file that keeps the state of the search; if it exists, the search continues from it. fixture: a
     recording of the empty rig, whose compliance is removed from the result, or the stand file into which `hil calibrate
-    fixture` wrote that compliance. cluster: the address of a Dask scheduler that distributes the work, or "local".
+    fixture` wrote that compliance.
 
     Ctrl-C ends the search; the best result so far is returned. Raises WrongUse, and NoResult if nothing can be
     identified from the recordings. Smaller problems are in the diagnostics.
@@ -216,11 +215,8 @@ def identify(
     options: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     options |= {"selection": selection, "weights": weights, "replacement": replacement}
     search = _search(preset, options, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=checkpoint)
-    if cluster is not None and checkpoint is not None:
-        raise WrongUse("--checkpoint is a file of this computer: leave it out, or --cluster")
     [task] = _tasks([_paths(recordings)], model, search, fixture)
-    [found] = [identified(task, progress)] if cluster is None else identify_spread([task], cluster, progress)
-    return _result(task, found)
+    return _result(task, identified(task, progress))
 
 
 def identify_each(
@@ -233,18 +229,17 @@ def identify_each(
     seed: int = 0,
     workers: int | None = None,
     fixture: AnyPath | None = None,
-    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> list[IdentificationResult | NoResult]:
     """Identify each recording separately, several at a time, and return the results in the order of the recordings.
 
     workers: number of processes on this computer; None: one a core. They are started if the work takes longer than
-    about 10 s. The results depend neither on `workers` nor on `cluster`. The other arguments are those of `identify`.
+    about 10 s. The results do not depend on `workers`. The other arguments are those of `identify`.
     For a recording from which nothing can be identified, the list holds a NoResult. Raises WrongUse.
     """
     search = _search(preset, {}, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=None)
     tasks = _tasks([[path] for path in _paths(recordings)], model, search, fixture)
-    found = identify_spread(tasks, cluster, progress)
+    found = identify_spread(tasks, progress)
     return [
         _no_result(task, one) if isinstance(one, Untrustworthy) else IdentificationResult(one)
         for task, one in zip(tasks, found, strict=True)
@@ -300,7 +295,6 @@ def compare(
     trials: int | None = None,
     seed: int = 0,
     workers: int | None = None,
-    cluster: str | None = None,
     progress: Progress | None = None,
 ) -> ComparisonResult:
     """Identify each recording separately, and test whether Kc and Bc repeat and whether they drift.
@@ -310,7 +304,7 @@ def compare(
     twice.
     """
     search = Search(trials=trials, seed=seed, workers=workers or os.cpu_count() or 1)
-    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress, cluster))
+    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress))
 
 
 def coupling_of(model: str | Coupling) -> Coupling | None:

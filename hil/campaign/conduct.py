@@ -108,15 +108,13 @@ def _cool_down(seconds: float, desk: Desk) -> None:
         desk.sleep(seconds)
 
 
-def identify_all(
-    plan: Plan, journal: Journal, desk: Desk, *, workers: int | None = None, cluster: str | None = None
-) -> None:
+def identify_all(plan: Plan, journal: Journal, desk: Desk, *, workers: int | None = None) -> None:
     """Identify every recording that has no result with the plan's model yet. Raises WrongUse."""
     model, trials = plan.settings.model, plan.settings.trials
     due = [run for run in plan.runs if journal.is_done(run) and kept_result(run, model, trials) is None]
     if not due:
         return
     paths = [run.path for run in due]
-    found = identify_each(paths, model, trials=trials, workers=workers, cluster=cluster, progress=desk.progress)
+    found = identify_each(paths, model, trials=trials, workers=workers, progress=desk.progress)
     for run, one in zip(due, found, strict=True):
         keep_result(run, model, trials, one.as_json())

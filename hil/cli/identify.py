@@ -60,7 +60,6 @@ def identify(
     bounds: options.Bounds = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
-    cluster: options.Cluster = None,
     each: Annotated[
         bool, typer.Option("--each", help="Identify each recording on its own, several at a time, instead of pooling.")
     ] = False,
@@ -79,7 +78,7 @@ def identify(
 
     del list_models  # is done before anything else is asked for
     required = _required(require)
-    common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers, "cluster": cluster}
+    common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers}
     common |= {"bounds": dict(_bounds(text) for text in bounds or ()), "fixture": fixture}
     alone: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     alone |= {"selection": selection, "weights": weights, "replacement": replacement, "checkpoint": checkpoint}

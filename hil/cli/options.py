@@ -73,13 +73,6 @@ Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-po
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")]
 Model = Annotated[str, typer.Option(help="auto: model selection; or terms, as in linear+offset; or FILE.py:NAME.")]
 Workers = Annotated[int, typer.Option(min=1, help="Cores to use [default: all].", show_default=False)]
-Cluster = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Let a Dask cluster do the work: its scheduler, tcp://HOST:PORT, or local (hil[cluster]).",
-    ),
-]
 Checkpoint = Annotated[Path | None, typer.Option(help="Save the search to this file; resume from it if it exists.")]
 Output = Annotated[Path | None, typer.Option("-o", "--output", help="The file to write.")]
 Folder = Annotated[Path, typer.Option("-o", "--output", help="The folder to write into.")]

@@ -88,12 +88,11 @@ def compare(
     model: Coupling | None,
     search: Search,
     progress: Progress | None = None,
-    cluster: str | None = None,
 ) -> Comparison:
     """Identify `model` in each recording separately, and split the variance of Kc and Bc into that within and that
     between recordings.
 
-    progress: a function that is called with the fraction done. cluster: see `identify_each`. A recording that cannot be
+    progress: a function that is called with the fraction done. A recording that cannot be
     used is left out with a warning. Raises WrongUse for fewer than two recordings, different stands, the same run
     twice, or a model without Kc and Bc.
     """
@@ -108,7 +107,7 @@ def compare(
             text = "an imported recording does not say when it was made: no drift is estimated with it"
             diagnostics.append(Diagnostic("time-unknown", text))
         first = min((moment for moment in created if moment is not None), default=None)
-        all_found = identify_each([Task((path,), model, search) for path in paths], cluster, progress)
+        all_found = identify_each([Task((path,), model, search) for path in paths], progress)
         measured = []
         for source, moment, found in zip(sources, created, all_found, strict=True):
             hours = (moment - first).total_seconds() / _HOUR if moment and first else math.nan

@@ -1,14 +1,13 @@
-"""Identify several recordings separately, in this process or in many processes and computers, with equal results."""
+"""Identify several recordings separately, in this process or in many processes, with equal results."""
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import Untrustworthy
 from hil.identification.fitting.solution import Search
 from hil.identification.fixture import identify_without_fixture
 from hil.identification.identify import identify
@@ -16,7 +15,6 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.identification.user_model import of_package
 from hil.recording.ahead import Progress
-from hil.workers.executor import executor, results
 from hil.workers.sharing import shared
 
 _WORTH = 10.0  # s that the other recordings would take as long as this one, from which processes are started for them
@@ -28,14 +26,13 @@ class Task:
     """One identification to be done.
 
     recordings: the recordings to pool. model: the model to fit; None for model selection. search: the settings of the
-    search. fixture: the empty rig's recording. folder: the folder that relative paths start from, on every computer.
+    search. fixture: the empty rig's recording.
     """
 
     recordings: tuple[Path, ...]
     model: Coupling | None
     search: Search
     fixture: Path | None = None
-    folder: str = ""
 
 
 Result = Identification | Untrustworthy
@@ -44,13 +41,6 @@ Result = Identification | Untrustworthy
 
 def identified(task: Task, progress: Progress | None = None) -> Result:
     """Return the result of a task. Raises WrongUse."""
-    if task.folder and task.folder != os.getcwd():  # noqa: PTH109 - a string is what the task has
-        try:
-            os.chdir(task.folder)
-        except OSError:
-            raise WrongUse(
-                f"a worker of the cluster has no folder {task.folder}: recordings must have the same path there"
-            ) from None
     if task.model is not None:
         of_package(task.model.name)  # another process has to load the terms of other packages too
     try:
@@ -61,30 +51,25 @@ def identified(task: Task, progress: Progress | None = None) -> Result:
         return error
 
 
-def identify_each(tasks: Sequence[Task], cluster: str | None = None, progress: Progress | None = None) -> list[Result]:
+def identify_each(tasks: Sequence[Task], progress: Progress | None = None) -> list[Result]:
     """Return the result of each task, in the order of the tasks.
 
-    The first task's setting `workers` limits how many tasks run at a time. cluster: the address of a Dask scheduler, or
-    "local". None: processes of this computer, which are started if the remaining tasks take long enough, as estimated
-    while the first task runs. Raises WrongUse.
+    The first task's setting `workers` limits how many tasks run at a time. Other processes are started
+    if the remaining tasks take long enough, as estimated while the first task runs. Raises WrongUse.
     """
     if not tasks:
         return []
     workers, count = tasks[0].search.workers, len(tasks)
-    if cluster is None and (workers == 1 or count < _FEWEST):
+    if workers == 1 or count < _FEWEST:
         does = _whole if count > 1 else identified
         return [does(task, _share(progress, at, count)) for at, task in enumerate(tasks)]
-    alone = [replace(task, search=replace(task.search, workers=1), folder=str(Path.cwd())) for task in tasks]
+    alone = [replace(task, search=replace(task.search, workers=1)) for task in tasks]
 
     def on_done(done: int) -> None:
         if progress is not None:
             progress(f"identified {done} of {count}", done / count)
 
-    if cluster is None:
-        return _spread(tasks, alone, progress, on_done)
-    with executor(min(workers, count), cluster) as on:
-        on_done(0)
-        return results(on, _whole, alone, on_done)
+    return _spread(tasks, alone, progress, on_done)
 
 
 def _spread(

@@ -25,7 +25,6 @@ def campaign(
         False
     ),
     workers: options.Workers = options.ALL_CORES,
-    cluster: options.Cluster = None,
     as_json: options.Json = False,
 ) -> None:
     """Record many joints one after the other, identify all, and write one report.
@@ -51,7 +50,7 @@ def campaign(
         say(str(stopped))
         raise typer.Exit(128 + stopped.signal) from None
     with progress() as show:
-        conduct.identify_all(loaded, journal, replace(desk, progress=show), workers=workers, cluster=cluster)
+        conduct.identify_all(loaded, journal, replace(desk, progress=show), workers=workers)
     found = results(loaded, journal)
     if as_json:
         print_json(page.as_json(loaded, found))

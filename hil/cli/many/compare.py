@@ -18,7 +18,6 @@ def compare(
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches for each recording.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
-    cluster: options.Cluster = None,
     report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
@@ -29,9 +28,7 @@ def compare(
 
     options.check_report(report, recordings, force=force)
     with progress() as show:
-        found = analysis.compare(
-            recordings, model, trials=trials, seed=seed, workers=workers, cluster=cluster, progress=show
-        )
+        found = analysis.compare(recordings, model, trials=trials, seed=seed, workers=workers, progress=show)
     if as_json:
         print_json(found.as_json())
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 import os
 import signal
@@ -14,17 +13,13 @@ from pathlib import Path
 import pytest
 
 from hil.errors import WrongUse
-from hil.workers.executor import results
 from hil.workers.processes import processes
 from hil.workers.sharing import shared
 
 
-def test_results_come_in_the_order_of_the_tasks_from_other_processes() -> None:
-    on_done: list[int] = []
-    with processes(2) as on:
-        assert results(on, math.factorial, [3, 1, 5], on_done.append) == [6, 1, 120]
+def test_a_task_runs_in_another_process() -> None:
+    with processes(1) as on:
         assert on.submit(os.getpid).result() != os.getpid()
-    assert on_done[-1] == 3
 
 
 @pytest.fixture
@@ -95,7 +90,7 @@ def test_a_process_that_dies_costs_its_task_a_retry(tmp_path: Path, monkeypatch:
     run = import_module("dying_task").run
     marks = [str(tmp_path / name) for name in ("a", "b")]
     with processes(2) as on:
-        assert results(on, run, marks) == marks
+        assert [future.result() for future in [on.submit(run, mark) for mark in marks]] == marks
 
 
 def test_a_task_that_always_kills_its_process_is_given_up() -> None:
