@@ -13,7 +13,9 @@ have no cycles, so two processes never wait for each other.
 
 Ctrl-C takes effect between two functions: LLVM calls back into Python, where a KeyboardInterrupt would be lost.
 
-If no folder can be written, or the disk is full, functions are compiled in memory, and a warning is logged once.
+Machine code is loaded only from a folder that nobody else can write. If others can write the folder, no folder can be
+written, or the disk is full, functions are compiled in memory, and a warning is logged once. A damaged file of the
+cache is replaced.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ import logging
 import os
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 import threading
@@ -38,6 +41,8 @@ from ga.own_numba import appdirs, event, global_compiler_lock, numba
 
 if sys.platform != "win32":
     import fcntl
+    import grp
+    import pwd
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -102,6 +107,7 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
     else:
         lock = folder / f"{function.__module__}.{function.__qualname__}.lock".replace("<", "").replace(">", "")
         dispatcher.compile = partial(_compiled_once, dispatcher.compile, lock)
+        dispatcher._cache.load_overload = partial(_loaded, dispatcher._cache, dispatcher._cache.load_overload)
         dispatcher._cache.save_overload = partial(_kept, dispatcher._cache.save_overload)
     return cast("Callable[P, R]", dispatcher)
 
@@ -130,19 +136,38 @@ def _compiled_in_memory(compile_: Callable[..., Any], *signature: Any) -> Any:
     return _between_interrupts(compile_, *signature)
 
 
+def _loaded(stored: Any, load: Callable[..., Any], *signature: Any) -> Any:
+    """Load machine code; None if there is none. If a file is damaged, clear the index, so that it is compiled again."""
+    try:
+        return load(*signature)
+    except Exception:  # noqa: BLE001 - bytes of a damaged file can raise anything
+        with suppress(OSError):
+            stored.flush()
+        return None
+
+
 def _kept(save: Callable[..., None], *made: Any) -> None:
     """Save machine code in the cache, or log a warning that it cannot be saved."""
     try:
         save(*made)
-    except OSError:
+    except Exception:  # noqa: BLE001 - a full disk, or a damaged index that could not be cleared
         _say_not_kept()
+
+
+_refused: Final[list[Path]] = []
 
 
 @cache
 def _say_not_kept() -> None:
+    why, remedy = "no cache folder has room or may be written", "make room, or name another folder"
+    if _refused:
+        why = f"others can change {_refused[0]} and would run code of theirs here"
+        remedy = "name a folder that only you can write"
     _log.warning(
-        "warning: compiled functions cannot be kept, no cache folder has room or may be written; Kc and Bc are the "
-        "same, but every run compiles again; make room, or name another folder in NUMBA_CACHE_DIR"
+        "warning: compiled functions cannot be kept, %s; Kc and Bc are the same, but every run compiles again; %s in "
+        "NUMBA_CACHE_DIR",
+        why,
+        remedy,
     )
 
 
@@ -235,8 +260,9 @@ def cache_folder(package: Path) -> Path | None:
     """Return the folder for the machine code of the present sources of a package or single file.
 
     The first of these folders that can be written is used: `NUMBA_CACHE_DIR`, the user's cache folder, the package's
-    `__pycache__`. None if none can be written, or if the sources cannot be read: then nothing is cached. A user without
-    a home folder has no cache folder: a cache in the working directory could run code that somebody else put there.
+    `__pycache__`. None if none can be written, if others can write that folder, or if the sources cannot be read: then
+    nothing is cached. A user without a home folder has no cache folder: a cache in the working directory could run code
+    that somebody else put there.
     """
     try:
         name = f"{package.stem}-{_digest(package, Path(__file__).parent)}"
@@ -246,9 +272,45 @@ def cache_folder(package: Path) -> Path | None:
     user = Path(_appdirs.user_cache_dir("hil", appauthor=False)) / "machine-code"
     for base in [*asked, *([user] if user.is_absolute() else []), package / "__pycache__"]:
         if _used(base / name):
+            folder = (base / name).resolve()  # a symbolic link could point elsewhere later
+            if (at_risk := changeable_by_others(folder)) is not None:
+                _refused.append(at_risk)
+                return None
             _prune(base, package.stem)
-            return base / name
+            return folder
     return None
+
+
+def changeable_by_others(folder: Path) -> Path | None:
+    """Return what lets somebody other than this user and root change the files in a folder; None if nothing does.
+
+    That is the folder itself or a file in it, or one of the folders above it. folder: resolved. In a folder with the
+    sticky bit, such as /tmp, only the owner of an entry can rename it.
+    """
+    if sys.platform == "win32":  # the user's folders belong to the user alone
+        return None
+    if folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        return folder
+    for place in (*reversed(folder.parents), folder, *folder.rglob("*")):
+        try:
+            found = place.lstat()
+        except FileNotFoundError:  # another process has finished writing it
+            continue
+        above = place in folder.parents and not found.st_mode & stat.S_ISVTX
+        if found.st_uid not in {0, os.geteuid()} or (above and _others_write(found)):
+            return place
+    return None
+
+
+def _others_write(found: os.stat_result) -> bool:
+    """Return whether somebody other than the owner can write a folder. A group of the user alone is no other."""
+    if not found.st_mode & stat.S_IWGRP:
+        return bool(found.st_mode & stat.S_IWOTH)
+    try:
+        user, group = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(found.st_gid)
+    except KeyError:
+        return True
+    return bool(found.st_mode & stat.S_IWOTH) or group.gr_name != user or not {user}.issuperset(group.gr_mem)
 
 
 def _digest(*packages: Path) -> str:
@@ -264,7 +326,9 @@ def _digest(*packages: Path) -> str:
 def _used(folder: Path) -> bool:
     """Create a cache folder, or record that it is in use; return False if the folder cannot be written."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        for place in (*reversed(folder.parents), folder):
+            if not place.exists():
+                place.mkdir(mode=0o700, exist_ok=True)  # whatever the umask allows others
         tempfile.TemporaryFile(dir=folder).close()
         os.utime(folder)
     except OSError:

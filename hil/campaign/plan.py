@@ -27,10 +27,10 @@ class _Table(BaseModel):
 class CampaignTable(_Table):
     """The table [campaign] of a plan: settings of the whole campaign.
 
-    output: folder of all results, relative to the plan's folder. model: as in `hil identify --model`. trials: number of
-    independent searches. repeats: number of recordings of each joint with each profile. cool_down: pause before each
-    recording except the first, s; no pause is made for a simulated joint. drift_check_every: number of recordings after
-    which the first recording is repeated, 0 for never.
+    output: folder of all results, inside the plan's folder. model: as in `hil identify --model`, but no file. trials:
+    number of independent searches. repeats: number of recordings of each joint with each profile. cool_down: pause
+    before each recording except the first, s; no pause is made for a simulated joint. drift_check_every: number of
+    recordings after which the first recording is repeated, 0 for never.
     """
 
     name: str = "campaign"
@@ -124,11 +124,39 @@ class Plan:
         return waits + sum(run.profile.duration for run in self.runs)
 
 
-def load(path: Path) -> Plan:
-    """Return the plan in a TOML file. Raises WrongUse with all errors of the file, each with its line and key."""
+def load(path: Path, model: str | None = None) -> Plan:
+    """Return the plan in a TOML file.
+
+    model: replaces the plan's model; unlike the plan's it may be a Python file. Raises WrongUse with all errors of the
+    file, each with its line and key, or if the plan would run a Python file or write outside its folder.
+    """
     file = load_table(path, _File, _message)
-    plan = Plan(path, file.campaign, path.parent / file.campaign.output, ())
-    return Plan(path, file.campaign, plan.folder, tuple(_runs(plan, file)))
+    settings = file.campaign if model is None else file.campaign.model_copy(update={"model": model})
+    plan = Plan(path, settings, path.parent / settings.output, ())
+    _check_reach(plan, given=model is not None)
+    return Plan(path, settings, plan.folder, tuple(_runs(plan, file)))
+
+
+def _check_reach(plan: Plan, *, given: bool) -> None:
+    """Raise WrongUse if the plan, which may come from somebody else, names a Python file or an output elsewhere.
+
+    given: whether the person at this computer named the model.
+    """
+    model = plan.settings.model
+    if ".py:" in model and not given:
+        raise WrongUse(
+            f"{plan.path}: campaign.model = {model!r} is a Python file, and a plan runs none: read that file, then "
+            f"name it yourself: hil campaign {plan.path} --model {model}"
+        )
+    try:
+        inside = plan.folder.resolve().is_relative_to(plan.path.parent.resolve())
+    except (OSError, RuntimeError, ValueError):  # links in a circle, or a null character
+        inside = False
+    if not inside:
+        raise WrongUse(
+            f"{plan.path}: campaign.output = {plan.settings.output!r} is outside the plan's folder, and a plan writes "
+            "nothing there: name a folder inside it, or move the plan"
+        )
 
 
 def _runs(plan: Plan, file: _File) -> Iterator[Run]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import grp
 import logging
 import os
+import pwd
 import signal
 import subprocess
 import sys
@@ -15,7 +17,7 @@ from typing import Any
 import numba
 import pytest
 
-from ga.compiled import KEPT, _compiled_once, cache_folder, compiled, is_compiled
+from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled, is_compiled
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
@@ -155,6 +157,74 @@ def test_where_nothing_can_be_written_the_program_works_and_says_so_once(
     assert sum("compiled functions cannot be kept" in line for line in said) == 1
     assert result == "2.0 False"
     assert not list(tmp_path.rglob("*.nbi"))
+
+
+def test_machine_code_that_others_can_change_is_not_run_which_is_said_once(package: Path, tmp_path: Path) -> None:
+    cache = tmp_path / "cache"
+    ask(package, cache)
+    (cache / "hil").chmod(0o777)
+    *said, result = end(*begin(ASK, package, cache)).splitlines()
+    assert result == "2.0 False"
+    assert sum(f"others can change {cache / 'hil'} " in line for line in said) == 1
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file away")
+@pytest.mark.parametrize(
+    ("place", "owner", "group", "mode"),
+    [
+        ("home", 12345, 0, 0o755),
+        ("home", 12345, 0, 0o1777),
+        ("home", 0, 12345, 0o775),
+        ("home", 0, 0, 0o757),
+        ("home/code", 12345, 0, 0o700),
+        ("home/code", 0, 12345, 0o750),
+        ("home/code/a.nbi", 12345, 0, 0o600),
+    ],
+)
+def test_another_owner_and_a_folder_that_others_write_are_recognised(
+    tmp_path: Path, place: str, owner: int, group: int, mode: int
+) -> None:
+    folder = tmp_path / "home" / "code"
+    folder.mkdir(parents=True)
+    folder.chmod(0o700)
+    (folder / "a.nbi").touch()
+    assert changeable_by_others(folder) is None
+    changed = tmp_path / place
+    os.chown(changed, owner, group)
+    changed.chmod(mode)
+    assert changeable_by_others(folder) == changed
+
+
+@pytest.mark.parametrize("mode", [0o1777, 0o775])
+def test_a_folder_for_all_whose_entries_stay_their_owners_and_the_users_own_group_are_no_danger(
+    tmp_path: Path, mode: int
+) -> None:
+    own = tmp_path / "own"
+    own.mkdir(mode=0o700)
+    tmp_path.chmod(mode)
+    name = grp.getgrgid(tmp_path.stat().st_gid).gr_name
+    alone = mode == 0o1777 or name == pwd.getpwuid(os.geteuid()).pw_name
+    assert changeable_by_others(own) == (None if alone else tmp_path)
+
+
+def test_a_folder_is_closed_to_others_whatever_the_umask_allows(package: Path, tmp_path: Path) -> None:
+    first = "import os; os.umask(0); "
+    assert answered(end(*begin(first + ASK, package, tmp_path / "cache"))) == (2.0, False)
+    assert answered(end(*begin(first + ASK, package, tmp_path / "cache"))) == (2.0, True)
+    assert {folder.stat().st_mode & 0o777 for folder in (tmp_path / "cache").rglob("joint-*")} == {0o700}
+
+
+@pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc"])
+def test_a_file_of_the_cache_that_is_empty_cut_or_zeros_is_replaced(
+    package: Path, tmp_path: Path, pattern: str
+) -> None:
+    ask(package, tmp_path)
+    for file in list(tmp_path.rglob(pattern)):
+        whole = file.read_bytes()
+        for damaged in (b"", whole[: len(whole) // 2], bytes(len(whole))):
+            file.write_bytes(damaged)
+            assert ask(package, tmp_path)[0] == 2.0
+    assert ask(package, tmp_path) == (2.0, True)
 
 
 def test_only_the_last_used_folders_are_kept(package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,9 @@ def campaign(
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: joints and pretensions are set by someone else.")] = (
         False
     ),
+    model: Annotated[
+        str | None, typer.Option(help="Instead of the plan's model; a plan cannot name FILE.py:NAME.")
+    ] = None,
     workers: options.Workers = options.ALL_CORES,
     as_json: options.Json = False,
 ) -> None:
@@ -38,7 +41,7 @@ def campaign(
     from hil.campaign.results import results
     from hil.report.formatting import plain_table
 
-    loaded = load(plan)
+    loaded = load(plan, model)
     journal = Journal(loaded)
     if dry_run:
         _show_plan(loaded, journal)

@@ -199,6 +199,23 @@ def test_a_mistake_in_a_plan_is_named_with_its_line_and_key(
     assert f"line {line}: {message}" in ended.err
 
 
+def test_a_plan_runs_a_python_file_only_if_the_person_names_it(hil: Hil, plan: Path) -> None:
+    plan.write_text(PLAN.replace('"linear+offset"', '"model.py:creeping"'))
+    ended = hil("campaign", plan, "--dry-run")
+    assert ended.status == 2
+    assert f"hil campaign {plan} --model model.py:creeping" in ended.err
+    assert hil("campaign", plan, "--dry-run", "--model", "model.py:creeping").status == 0
+
+
+@pytest.mark.parametrize("output", ["..", "out/../../elsewhere", "/tmp/elsewhere", "link/out", "a\\u0000b"])  # noqa: S108
+def test_a_plan_writes_nothing_outside_its_folder(hil: Hil, plan: Path, tmp_path: Path, output: str) -> None:
+    (tmp_path / "link").symlink_to("/")
+    plan.write_text(PLAN.replace('output = "out"', f'output = "{output}"'))
+    ended = hil("campaign", plan, "--dry-run")
+    assert ended.status == 2
+    assert "is outside the plan's folder" in ended.err
+
+
 def test_a_plan_that_is_no_toml_says_the_line(hil: Hil, plan: Path) -> None:
     plan.write_text("[campaign\n")
     ended = hil("campaign", plan)
