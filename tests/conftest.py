@@ -13,6 +13,12 @@ from pathlib import Path
 # before numpy is imported: every core has a worker of its own, and more threads only wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+# where Python is asked to leave no bytecode, every worker and program that a test starts would compile all sources
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
+    sys.pycache_prefix = str(Path(__file__).parent.parent / ".pytest_cache" / "bytecode")
+    os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix
+
 import pytest
 from hypothesis import settings
 

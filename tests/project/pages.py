@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "examples" / "first_steps.ipynb"
 _BLOCK = re.compile(r"(?:<!-- ([^>]+?) -->\n\s*)?^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _NAN = re.compile(r"\bnan\b")
-_BUSY = 6.0
+_BUSY = 3.0
 """s of processor time that each busy program takes."""
 _STATUS = "trap 'echo \"status $? of: $BASH_COMMAND\" >&2; exit 1' ERR\nset -o pipefail\n"
 

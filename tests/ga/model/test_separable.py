@@ -151,6 +151,7 @@ def test_a_step_that_cannot_be_solved_is_not_better_and_ends_no_descent(monkeypa
     assert descend(problem, np.zeros(1)).nonlinear[0] == pytest.approx(4e-3, abs=1e-4)
 
 
+@pytest.mark.study
 def test_a_compass_passes_over_points_that_cannot_be_solved(monkeypatch: pytest.MonkeyPatch) -> None:
     model = parse("linear+backlash").anchored(MOTION)
     problem = Problem(model, MOTION, with_play(0.1, 0.02), *model.bounds(MOTION, 12.0))

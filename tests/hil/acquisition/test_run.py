@@ -321,6 +321,7 @@ RELAXED = (  # a busy computer may make a tick late
 )
 
 
+@pytest.mark.study
 def test_no_stream_of_signals_replaces_the_exit_status(tmp_path: Path) -> None:
     words = ["record", "--backend", "sim", "--realtime", "--duration", "60", "--rate", "100"]
     words += ["-o", str(tmp_path / "a.h5")]
@@ -338,7 +339,7 @@ def test_no_stream_of_signals_replaces_the_exit_status(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("busy_machine")
-@pytest.mark.parametrize("victim", ["recorder", "writing process"])
+@pytest.mark.parametrize("victim", ["recorder", pytest.param("writing process", marks=pytest.mark.study)])
 def test_a_kill_in_real_time_costs_no_row_and_leaves_no_process(tmp_path: Path, victim: str) -> None:
     """The rows before the kill are counted in the file that is being written: 20 ms or less may be missing."""
     words = ["record", "--backend", "sim", "--realtime", "--duration", "60", "-o", str(tmp_path / "a.h5")]

@@ -147,6 +147,7 @@ def test_the_numbers_of_identify_do_not_depend_on_the_workers(hil: Hil, make_rec
     assert repeated[0]["trials_mean"] != repeated[1]["trials_mean"]
 
 
+@pytest.mark.study
 def test_the_papers_preset_arrives_at_the_exact_optimum(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(noise=2e-4, kc=0.01775, bc=1.9e-4, samples=500)
     words = ("--model", "linear", "--preset", "paper", "--generations", 50_000, "--trials", 2, "--json")
@@ -218,7 +219,10 @@ temperature = 80.0
 """
 
 
-@pytest.mark.parametrize(("quantity", "amplitude", "warned"), [("torque", 0.006, False), ("position", 0.3, True)])
+@pytest.mark.parametrize(
+    ("quantity", "amplitude", "warned"),
+    [("torque", 0.006, False), pytest.param("position", 0.3, True, marks=pytest.mark.study)],
+)
 def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     hil: Hil, tmp_path: Path, quantity: str, amplitude: float, *, warned: bool
 ) -> None:

@@ -124,6 +124,7 @@ def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: 
     assert kc == pytest.approx(17.75e-3 * scale, rel=0.1)
 
 
+@pytest.mark.study
 def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
     link = tmp_path / "ttyDXL"
     with emulated("dynamixel", "--link", str(link), "--model", "mx-64") as process:
@@ -284,6 +285,7 @@ def test_an_emulator_in_the_background_has_its_port_when_the_command_returns_and
     assert not (tmp_path / "tty").is_symlink()
 
 
+@pytest.mark.study
 def test_an_emulator_in_the_background_ends_by_its_id_and_leaves_the_link_of_the_next_one(tmp_path: Path) -> None:
     script = f"{IN_THE_BACKGROUND}first=$emulator{IN_THE_BACKGROUND}kill $first\nwhile kill -0 $first; do :; done\n"
     first, second = in_a_session_of_its_own(f"{script}test -c ./tty && kill $emulator", tmp_path).split()

@@ -310,6 +310,7 @@ def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets
     assert not rig.device.torque_on
 
 
+@pytest.mark.study
 def test_a_rate_at_which_replies_are_lost_is_not_one_at_which_they_are_in_time(make_rig: Callable[..., Any]) -> None:
     rig = make_rig()
     servo = rig.open()

@@ -154,6 +154,7 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
     assert capfd.readouterr().err.splitlines() == ["compiling (0)", "compiling (3)"]
 
 
+@pytest.mark.study
 def test_a_search_of_many_generations_says_first_how_long_it_will_take(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -208,6 +208,7 @@ class Terminal:
 RUN = ["record", "--backend", "sim", "--realtime", "--duration", "60", "--rate", "100", "--band", "0.5:5", "-o", "a.h5"]
 
 
+@pytest.mark.study
 def test_a_key_ends_the_run_softly_and_the_terminal_is_as_it_was(tmp_path: Path) -> None:
     terminal = Terminal(RUN, tmp_path)
     try:
