@@ -1,8 +1,9 @@
 """The stored result of `hil doctor --commission` for each drive, and the torque limit of a run that follows from it.
 
 A drive that was not tested within 30 days, or was tested with another firmware or watchdog, gets half of its stand's
-torque limit. A drive that did not release its torque in the test is refused, unless the stand file accepts such a
-drive.
+torque limit. A drive that did not release its torque in a test is refused until it passes a later test, unless the
+stand file accepts such a drive. This is kept in two places, each of which refuses the drive: the user's state folder
+and the stand file, which other users and computers read too.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from drivers.servo import Quantity, ServoInfo
-from hil.acquisition.drive_memory import DriveMemory
+from hil.acquisition.drive_memory import DriveMemory, file_name
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
+from hil.stand.edit import update
 from hil.stand.file import Stand
 
 DAYS = 30.0
@@ -56,18 +58,50 @@ class Commissioning:
         """Return whether the guardian (if the drive has one) and a second stop signal switched the torque off."""
         return self.second_signal and self.guardian is not False
 
-    def keep(self, info: ServoInfo, mode: Quantity) -> Path:
-        """Store this result for the drive `info` and the command mode `mode`; return the path of the file. Raises
+    def keep(self, stand: Stand, info: ServoInfo, mode: Quantity) -> Path:
+        """Store this result for the drive `info` of `stand` and the command mode `mode`; return the path of the file.
+
+        A drive that keeps its torque is noted in the stand file too, and so is that it passed after that. Raises
         WrongUse.
         """
-        memory = _memory(info, mode)
-        memory.keep(asdict(self))
+        passed = self.releases and self.stops_ours
+        keeps = not self.releases or (not passed and _kept_torque(stand, info, mode))
+        name = _name_in_stand(info, mode)
+        memory = DriveMemory("commissioning", info, mode)
+        try:
+            if stand.path is not None and keeps != stand.keeps_torque.get(name, False):
+                update(stand.path, {"keeps_torque": {name: keeps}})
+        except (OSError, WrongUse) as error:
+            raise WrongUse(
+                f"{stand.path} cannot note under [keeps_torque] whether its drive keeps its torque ({error}), so that "
+                "another user would not know it: make the file writable and commission the drive again"
+            ) from None
+        finally:
+            memory.keep(asdict(self) | {"keeps_torque": keeps})
         return memory.path
 
 
-def _memory(info: ServoInfo, mode: Quantity) -> DriveMemory:
-    named = () if info.serial and not info.serial_is_id else (info.firmware,)
-    return DriveMemory("commissioning", info, *named, mode)
+def _name_in_stand(info: ServoInfo, mode: Quantity) -> str:
+    """Return the drive's key in [keeps_torque]. A drive without a serial number counts as the only one of the stand."""
+    return file_name(info.backend, "" if info.serial_is_id else info.serial, mode)
+
+
+def _kept_torque(stand: Stand, info: ServoInfo, mode: Quantity) -> bool:
+    """Return whether the drive did not release its torque in a test and has not passed a test since.
+
+    Neither age nor a changed setting of the drive ends this. A file that cannot be read counts as such a test.
+    """
+    if stand.keeps_torque.get(_name_in_stand(info, mode), False):
+        return True
+    try:
+        memory = DriveMemory("commissioning", info, mode)
+    except WrongUse:  # a user without a home has never stored a test
+        return False
+    try:
+        kept = memory.load()
+        return kept is not None and kept.get("keeps_torque", kept["releases"] is not True) is not False
+    except (OSError, ValueError, KeyError, RecursionError, WrongUse):
+        return True
 
 
 def identity(info: ServoInfo) -> str:
@@ -84,7 +118,7 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
     unusable.
     """
     with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
-        kept = _memory(info, mode).load() or {}
+        kept = DriveMemory("commissioning", info, mode).load() or {}
         found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
         age = time.time() - found.time
         same = (found.firmware, found.watchdog) == (info.firmware, info.watchdog)
@@ -102,15 +136,8 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
     """
     if info.backend in NOTHING_TURNS or stand.stand.backend in NOTHING_TURNS:
         return stand, []
+    require_release(stand, info, profile.mode)
     found = last_outcome(info, profile.mode)
-    accepted = stand.stand.torque_stays_on_if_host_dies
-    if found is not None and not (found.releases or accepted):
-        raise WrongUse(
-            "this drive kept its torque when no command arrived (hil doctor --commission, valid until "
-            f"{found.until}). If this computer stops, the motor pulls until its power is cut. Nothing was driven: "
-            "correct its watchdog and commission it again, or accept this with torque_stays_on_if_host_dies = true in "
-            "[stand], and keep a switch for its power at hand"
-        )
     if found is not None and found.stops_ours:
         return stand, []
     half = SHARE * stand.checked_limits().torque
@@ -126,6 +153,18 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
         f"{half:g} N m now, half of the stand's; {remedy}",
     )
     return with_torque_limit(stand, half), [halved]
+
+
+def require_release(stand: Stand, info: ServoInfo, mode: Quantity) -> None:
+    """Raise WrongUse if the drive kept its torque in its last decisive test, unless the stand file accepts that."""
+    if stand.stand.torque_stays_on_if_host_dies or not _kept_torque(stand, info, mode):
+        return
+    raise WrongUse(
+        "this drive kept its torque when no command arrived (hil doctor --commission), or what was stored about that "
+        "cannot be read. If this computer stops, the motor pulls until its power is cut. Nothing was driven: correct "
+        "its watchdog and commission it again, which alone ends this; or accept it with torque_stays_on_if_host_dies = "
+        "true in [stand], and keep a switch for its power at hand"
+    )
 
 
 def with_torque_limit(stand: Stand, torque: float) -> Stand:

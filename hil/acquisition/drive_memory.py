@@ -26,8 +26,8 @@ class DriveMemory:
     """
 
     def __init__(self, kind: str, info: ServoInfo, *also: str) -> None:
-        words = " ".join((info.backend, info.model, info.serial, *also))
-        self.path = _state_folder() / "hil" / kind / f"{re.sub(r'[^A-Za-z0-9.-]+', '_', words)}.json"
+        name = file_name(info.backend, info.model, info.serial, *also)
+        self.path = _state_folder() / "hil" / kind / f"{name}.json"
 
     def load(self) -> dict[str, Any] | None:
         """Return the stored fields, None if nothing was stored. Raises WrongUse or ValueError if the file cannot be
@@ -56,6 +56,11 @@ class DriveMemory:
                 f"{self.path} cannot be written ({reason}): it keeps what the next run must know of this drive; make "
                 "room, or set XDG_STATE_HOME to a folder that can be written"
             ) from None
+
+
+def file_name(*words: str) -> str:
+    """Return the words as one name of a file: what is no letter, digit, "." or "-" becomes "_"."""
+    return re.sub(r"[^A-Za-z0-9.-]+", "_", " ".join(words))
 
 
 def _state_folder() -> Path:

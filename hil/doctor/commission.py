@@ -63,7 +63,7 @@ class Report:
             "ok": self.good,
             "verdict": self.verdict,
             "drive": identity(self.info),
-            "valid_until": self.outcome.until,
+            "valid_until": self.outcome.until if self.outcome.releases else None,
             "torque_share": LOAD,
         } | {name: None if trial is None else _as_json(trial) for name, trial in trials.items()}
 
@@ -88,7 +88,7 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
     signalled, watched = made["second signal"], made["watchdog"]
     if checks.info is None or signalled is None or watched is None:
         return None
-    return _kept(checks, checks.info, mode, (signalled, made["guardian"], watched))
+    return _kept(checks, stand, (checks.info, mode), (signalled, made["guardian"], watched))
 
 
 def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str, Try]) -> Trial | None:
@@ -117,8 +117,11 @@ def _reduced(stand: Stand) -> Stand:
     return with_torque_limit(replace(stand, stand=table), SHARE * stand.checked_limits().torque)
 
 
-def _kept(checks: CheckList, info: ServoInfo, mode: Quantity, trials: tuple[Trial, Trial | None, Trial]) -> Report:
-    """Return the result that follows from the trials, after storing it for the drive."""
+def _kept(
+    checks: CheckList, stand: Stand, tried: tuple[ServoInfo, Quantity], trials: tuple[Trial, Trial | None, Trial]
+) -> Report:
+    """Return the result that follows from the trials, after storing it for the drive. tried: the drive and its mode."""
+    info, mode = tried
     signalled, guarded, watched = trials
     for name, trial in (("second signal", signalled), ("guardian", guarded), ("watchdog", watched)):
         if trial is not None:
@@ -137,8 +140,9 @@ def _kept(checks: CheckList, info: ServoInfo, mode: Quantity, trials: tuple[Tria
         guardian=None if guarded is None else bool(guarded.left.releases),
         second_signal=bool(signalled.left.releases) or not signalled.left.measured,
     )
-    path = outcome.keep(info, mode)
-    checks.passed("kept", f"for {identity(info)}, for {DAYS:.0f} days, in {path}")
+    path = outcome.keep(stand, info, mode)
+    how_long = f"for {DAYS:.0f} days" if outcome.releases else "until it passes"
+    checks.passed("kept", f"for {identity(info)}, {how_long}, in {path}")
     return Report(outcome, info, signalled, guarded, watched)
 
 

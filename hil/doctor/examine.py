@@ -14,6 +14,7 @@ from pathlib import Path
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from drivers.torque_off import confirm_torque_off
+from hil.acquisition.commissioning import require_release
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
@@ -166,6 +167,7 @@ def _move(
     limits = stand.checked_limits()
     try:
         require_watchdog(stand, servo.info)
+        require_release(stand, servo.info, mode)
     except WrongUse as error:
         checks.failed("move", str(error))
         return

@@ -8,7 +8,7 @@ from __future__ import annotations
 import reprlib
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -77,12 +77,15 @@ class LimitsTable(_Table):
 
 
 class File(_Table):
-    """The tables of a stand file that do not depend on the device."""
+    """The tables of a stand file that do not depend on the device. keeps_torque: written by `hil doctor --commission`:
+    whether a drive kept its torque when no command arrived, by the drive's name in `hil.acquisition.commissioning`.
+    """
 
     stand: StandTable
     limits: LimitsTable | None = None
     calibration: CalibrationTable = CalibrationTable()
     winding: WindingTable | None = None
+    keeps_torque: dict[str, bool] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,8 @@ class Stand:
 
     stand, limits: the tables; limits is None if the file sets none. devices: the tables of the servos in the file, by
     backend. sensor: kind and table of the joint sensor, None without a joint sensor. text: the file as written.
-    calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding].
+    calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding]. keeps_torque: as in
+    `File`. path: of the file, None if the stand was not read from a file.
     """
 
     stand: StandTable
@@ -101,6 +105,8 @@ class Stand:
     text: str
     calibration: CalibrationTable = field(default_factory=CalibrationTable)
     winding: WindingTable | None = None
+    keeps_torque: Mapping[str, bool] = field(default_factory=dict)
+    path: Path | None = None
 
     @property
     def sim(self) -> SimParameters:
@@ -179,7 +185,7 @@ def _is_file(name: str) -> bool:
 def load(path: Path) -> Stand:
     """Return the stand in a TOML file. Raises WrongUse with all errors of the file, each with its key."""
     text = read_text(path, largest=LARGEST)
-    return parse(text, str(path))
+    return replace(parse(text, str(path)), path=path)
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:
@@ -205,7 +211,7 @@ def _parsed(text: str, name: str) -> Stand:
         raise errors_in(name, [f"line {at}: {said}" for at, said in lines], len(errors))
     devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
-    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding)
+    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding, file.keeps_torque)
 
 
 def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_Error]]:

@@ -12,7 +12,7 @@ from drivers.servo import Quantity, ServoInfo
 from hil.acquisition.commissioning import Commissioning, identity, permitted
 from hil.acquisition.excitation import Profile, make
 from hil.errors import WrongUse
-from hil.stand.file import Stand, parse
+from hil.stand.file import Stand, load, parse
 
 INFO = ServoInfo(backend="moteus", model="n1", serial="0011", firmware="1.0", watchdog=0.1)
 
@@ -38,8 +38,8 @@ def profile(amplitude: float, mode: Quantity = Quantity.TORQUE) -> Profile:
 GOOD = Commissioning(0.0, "1.0", 0.1, releases=True, guardian=True, second_signal=True)
 
 
-def kept(info: ServoInfo = INFO, days: float = 1.0, outcome: Commissioning = GOOD) -> Path:
-    return replace(outcome, time=time.time() - days * 86400.0).keep(info, Quantity.TORQUE)
+def kept(info: ServoInfo = INFO, days: float = 1.0, outcome: Commissioning = GOOD, opened: Stand | None = None) -> Path:
+    return replace(outcome, time=time.time() - days * 86400.0).keep(opened or stand(), info, Quantity.TORQUE)
 
 
 def limit(opened: Stand, info: ServoInfo = INFO, amplitude: float = 0.1) -> float:
@@ -86,16 +86,47 @@ def test_an_outcome_that_is_not_of_this_drive_as_it_is_now_does_not_count(info: 
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"time": "x"}', '{"releases": 1}', "\x00", "{" * 5000])
-def test_a_damaged_file_counts_as_none(text: str) -> None:
+def test_a_damaged_file_may_have_said_that_the_drive_keeps_its_torque(text: str) -> None:
     kept().write_text(text)
-    assert limit(stand()) == 0.2
-
-
-def test_a_drive_that_did_not_release_its_torque_is_not_driven_unless_the_stand_accepts_it() -> None:
-    kept(outcome=replace(GOOD, releases=False))
-    with pytest.raises(WrongUse, match="Nothing was driven"):
+    with pytest.raises(WrongUse, match="cannot be read"):
         permitted(stand(), INFO, profile(0.1))
-    assert limit(stand(accepted=True)) == 0.4
+    assert limit(stand(accepted=True)) == 0.2
+
+
+KEEPS = replace(GOOD, releases=False)
+
+
+@pytest.mark.parametrize("days", [1.0, 31.0, -400.0], ids=["new", "old", "clock set back"])
+@pytest.mark.parametrize("changed", [{}, {"watchdog": 0.5}, {"firmware": "1.1"}], ids=["same", "watchdog", "firmware"])
+@pytest.mark.parametrize("by_id", [False, True], ids=["serial number", "id alone"])
+def test_a_drive_that_keeps_its_torque_is_not_driven_again_whatever_changes(
+    days: float, changed: dict[str, float | str], *, by_id: bool
+) -> None:
+    info = replace(INFO, serial_is_id=by_id)
+    kept(info, days, KEEPS)
+    info = replace(info, **changed)  # type: ignore[arg-type]  # a number and a text
+    with pytest.raises(WrongUse, match="Nothing was driven"):
+        permitted(stand(), info, profile(0.1))
+    permitted(stand(accepted=True), info, profile(0.1))
+    kept(info, outcome=replace(GOOD, guardian=False))  # a test that it passed in part
+    with pytest.raises(WrongUse, match="Nothing was driven"):
+        permitted(stand(), info, profile(0.1))
+    kept(info)
+    assert limit(stand(), replace(info, firmware="1.0", watchdog=0.1)) == 0.4
+
+
+def test_another_user_learns_from_the_stand_file_that_the_drive_keeps_its_torque(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "stand.toml"
+    file.write_text(stand().text)
+    kept(outcome=KEEPS, opened=load(file))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another"))
+    with pytest.raises(WrongUse, match="Nothing was driven"):
+        permitted(load(file), INFO, profile(0.1))
+    assert limit(load(file), replace(INFO, serial="0012")) == 0.2  # another drive
+    kept(opened=load(file))
+    assert limit(load(file)) == 0.4
 
 
 @pytest.mark.parametrize("failed", [{"guardian": False}, {"second_signal": False}])
