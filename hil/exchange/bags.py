@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hil.errors import WrongUse, meant
 from hil.exchange.headings import heading, listed
 from hil.recording.channels import CHANNELS
-from hil.recording.input import bounded_memory, open_input
+from hil.recording.input import bounded, open_input
 
 Array = NDArray[np.float64]
 
@@ -33,12 +33,13 @@ UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
 _DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
 _DATABASE = b"SQLite format 3\0"  # at the begin of one
-_MEMORY = 1 << 32  # bytes that reading may take: a damaged file can unpack to any size
 _MOST_NUMBERS = 64  # of one array in a message
 _MOST_FILES = 10_000
-_NO_TABLES = (
-    "SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%' LIMIT 1"
-)
+_NO_TABLES = """
+    SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%'
+    UNION ALL SELECT 'generated column', x.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS x
+    WHERE m.type = 'table' AND x.hidden > 1 LIMIT 1
+"""
 
 
 def is_bag(source: Path) -> bool:
@@ -55,20 +56,17 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     have one joint. Raises WrongUse, with the list of topics or joints in the bag.
     """
     rosbags = _rosbags(source)
-    for path in _files(source):
-        with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
-            is_database = file.read(len(_DATABASE)) == _DATABASE
-        if is_database:
-            _check_tables(path)
-    try:
-        with bounded_memory(_MEMORY), rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
+
+    def read() -> dict[str, Array]:
+        for path in _files(source):
+            with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
+                is_database = file.read(len(_DATABASE)) == _DATABASE
+            if is_database:
+                _check_tables(path)
+        with rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
             return _read(source, reader, topic, joint)
-    except WrongUse:
-        raise
-    except MemoryError:
-        raise WrongUse(f"{source} unpacks to more than {_MEMORY >> 20} MiB: check that it is not damaged") from None
-    except Exception as error:  # noqa: BLE001 - a damaged bag makes the library raise anything
-        raise WrongUse(f"{source} is damaged, or no ROS 2 bag ({_reason(error)}): record it again") from None
+
+    return bounded(source, read)
 
 
 class _Library:
@@ -108,21 +106,16 @@ def _may_be_read(path: Path) -> bool:
 
 
 def _check_tables(path: Path) -> None:
-    """Raise WrongUse for a database that contains more than tables: reading a view may never end, and Ctrl-C does not
-    stop it.
+    """Raise WrongUse for a database that contains more than tables of stored values: reading a view may never end, and
+    Ctrl-C does not stop it.
     """
     try:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as database:
             found = database.execute(_NO_TABLES).fetchone()
-    except sqlite3.Error as error:
-        raise WrongUse(f"{path} is damaged, or no ROS 2 bag ({error}): record it again") from None
+    except (sqlite3.Error, UnicodeError) as error:
+        raise WrongUse(f"{path} is damaged, or no ROS 2 bag ({error}): use another copy of the file") from None
     if found is not None:
-        raise WrongUse(f"{path} is no ROS 2 bag, which holds tables only: it has the {found[0]} {found[1]!r}")
-
-
-def _reason(error: Exception) -> str:
-    text = (str(error).splitlines() or [""])[0]
-    return text[:200] if text and not isinstance(error, OSError | KeyError | AssertionError) else "it cannot be parsed"
+        raise WrongUse(f"{path} is no ROS 2 bag, which stores its values in tables: it has the {found[0]} {found[1]!r}")
 
 
 def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> dict[str, Array]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from hil.errors import WrongUse, meant
 from hil.exchange import bags, delimited, headings, matlab, plotjuggler
 from hil.exchange.row_filter import RowFilter
-from hil.recording.input import open_input
+from hil.recording.input import bounded, open_input
 
 _LARGEST = 1 << 36  # bytes of a file
 
+Answer = TypeVar("Answer")
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
@@ -66,14 +67,23 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
     """
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
-        return _whole(source, _Columns(list(found), found.__getitem__))
+        return _whole(source, _Columns(list(found), lambda names: [found[name] for name in names]))
     if source.suffix.lower() in {".h5", ".hdf5", ".part"}:
         raise WrongUse(f"{source} is HDF5 by its name: a recording of hil needs no import; save other HDF5 as CSV")
     if source.suffix.lower() in _FILES and topic is None and joint is None:
         return _whole(source, _columns(source))
-    written = delimited.titles(source)
+    written = _bounded_if_packed(source, partial(delimited.titles, source))
     titles = plotjuggler.renamed(source, written, topic, joint)
-    return Table(source, titles, partial(delimited.read, source), joins_topics=plotjuggler.TIME in written)
+    return Table(source, titles, partial(_read_text, source), joins_topics=plotjuggler.TIME in written)
+
+
+def _read_text(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
+    return _bounded_if_packed(source, partial(delimited.read, source, wanted, filters))
+
+
+def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
+    """Return the answer of `work`; text that is not compressed takes memory in proportion to the file anyway."""
+    return bounded(source, work) if source.suffix.lower() == ".gz" else work()
 
 
 def _whole(source: Path, columns: _Columns) -> Table:
@@ -95,9 +105,9 @@ def _read_whole(
     source: Path, columns: _Columns, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
 ) -> tuple[Array, Rows]:
     known = columns.names
-    numbers = {
-        at: _numbers(source, known[at], columns.column(known[at])) for at in [*wanted, *(at for at, _ in filters)]
-    }
+    needed = list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
+    found = columns.read([known[at] for at in needed])
+    numbers = {at: _numbers(source, known[at], values) for at, values in zip(needed, found, strict=True)}
     lengths = {known[at]: len(values) for at, values in numbers.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -115,15 +125,18 @@ def _numbers(source: Path, name: str, values: Any) -> Array:
 
 
 class _Columns(NamedTuple):
-    """The columns of a binary file: their names, and a function that reads one column."""
+    """The columns of a binary file: their names, and a function that reads some of the columns."""
 
     names: list[str]
-    column: Callable[[str], Any]
+    read: Callable[[Sequence[str]], list[Any]]
 
 
 def _columns(source: Path) -> _Columns:
     open_input(source, largest=_LARGEST).close()
-    return _FILES[source.suffix.lower()](source)
+    opened = partial(_FILES[source.suffix.lower()], source)
+    return _Columns(
+        bounded(source, lambda: opened().names), lambda names: bounded(source, lambda: opened().read(names))
+    )
 
 
 def parquet(path: Path) -> ModuleType:
@@ -146,13 +159,13 @@ def _parquet(source: Path) -> _Columns:
     except (OSError, ValueError) as error:  # pyarrow's own errors are of these two
         raise WrongUse(f"{source} is not Parquet, or is cut off ({_first_line(error)})") from None
 
-    def column(name: str) -> Any:
+    def read(names: Sequence[str]) -> list[Any]:
         try:
-            return file.read(columns=[name]).column(name).to_numpy()
+            return [file.read(columns=[name]).column(name).to_numpy() for name in names]
         except (OSError, ValueError) as error:
-            raise WrongUse(f"{source}: column {name!r} is damaged ({_first_line(error)})") from None
+            raise WrongUse(f"{source} is damaged ({_first_line(error)}): use another copy of the file") from None
 
-    return _Columns(names, column)
+    return _Columns(names, read)
 
 
 def _first_line(error: Exception) -> str:
@@ -161,7 +174,7 @@ def _first_line(error: Exception) -> str:
 
 def _matlab(source: Path) -> _Columns:
     vectors = matlab.vectors(source)
-    return _Columns(list(vectors), vectors.__getitem__)
+    return _Columns(list(vectors), lambda names: [vectors[name] for name in names])
 
 
 _FILES: Mapping[str, Callable[[Path], _Columns]] = {".parquet": _parquet, ".pq": _parquet, ".mat": _matlab}

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
+import zipfile
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
 
-from hil.errors import WrongUse
-from hil.recording.posix import open_binary
+from hil.errors import Untrustworthy, WrongUse
+from hil.recording.posix import Answer, in_child, open_binary
+
+_MEMORY, _PER_BYTE = 1 << 29, 16  # bytes that reading a file may take, and more for each of its bytes
+_PROCESSOR, _PER_SECOND = 6, 250_000  # s that reading may take, and bytes of the file for each further s
+_SMALL, _COMPRESSION = 1 << 26, 100  # bytes that any file may unpack to; a larger one: for each of its bytes
+_GZIP, _PIECE = b"\x1f\x8b", 1 << 20
+_LARGEST = 1 << 36  # bytes of a file of which no more is read than is needed
+_LONGEST = 200  # characters of a library's message
 
 
 def open_input(path: Path, *, largest: int) -> BufferedReader:
@@ -48,23 +58,69 @@ def read_text(path: Path, *, largest: int) -> str:
         raise WrongUse(f"{path} cannot be read as text (byte {error.start} is not UTF-8): save it in UTF-8") from None
 
 
-@contextmanager
-def bounded_memory(size: int) -> Iterator[None]:
-    """Limit the memory of this process to `size` bytes more than at present: a larger allocation raises MemoryError.
+def bounded(source: Path, work: Callable[[], Answer]) -> Answer:
+    """Return the answer of `work`, a function that reads the file or folder `source` with a library, from a copy of
+    this process.
 
-    This protects from a library that unpacks as much data as a file declares. On a system without such limits nothing
-    is done.
+    A small file may unpack to any size, and a damaged one may crash a library or keep it busy for ever. The copy has
+    512 MiB of memory and 6 s of processor time, and more in proportion to the size of the file. Raises WrongUse where
+    that is not enough, where the library crashes, for whatever `work` raises, and for a file of gzip or zip that
+    unpacks to 100 times its size.
     """
-    try:
-        import resource
+    size = _size(source)
+    _check_packed(source, size)
+    processor, memory = _PROCESSOR + size // _PER_SECOND, _MEMORY + _PER_BYTE * size
 
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-        before = resource.getrlimit(resource.RLIMIT_AS)
-        resource.setrlimit(resource.RLIMIT_AS, (used + size, before[1]))
-    except (ImportError, OSError, ValueError):
-        yield
+    def read() -> Answer:
+        try:
+            return work()
+        except (WrongUse, Untrustworthy, MemoryError):
+            raise
+        except Exception as error:  # noqa: BLE001 - a damaged file makes a library raise anything
+            raise WrongUse(
+                f"{source} is damaged, or not what its name says ({_reason(error)}): use another copy of the file, or "
+                "save it as CSV"
+            ) from None
+
+    answer = in_child(read, processor=processor, memory=memory)
+    if answer is None:
+        raise WrongUse(
+            f"{source} has {size / 1e6:.3g} MB, and reading it crashes, or takes more than {processor} s of processor "
+            f"time or {memory >> 20} MiB of memory, so nothing was read: check the file, or save it as CSV"
+        )
+    return answer
+
+
+def _check_packed(source: Path, size: int) -> None:
+    """Raise WrongUse for a file of gzip or zip that unpacks to too many bytes; what is neither, or is damaged,
+    passes.
+    """
+    most = max(_SMALL, _COMPRESSION * size)
+    unpacked = 0
+    if source.is_dir():
         return
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, before)
+    with open_input(source, largest=_LARGEST) as file, suppress(OSError, EOFError, zlib.error, zipfile.BadZipFile):
+        if file.peek(2).startswith(_GZIP):
+            with gzip.open(file) as inside:
+                while unpacked <= most and (piece := len(inside.read(_PIECE))):
+                    unpacked += piece
+        elif zipfile.is_zipfile(file):
+            with zipfile.ZipFile(file) as archive:
+                unpacked = sum(one.file_size for one in archive.infolist())
+    if unpacked > most:
+        raise WrongUse(
+            f"{source} has {size / 1e6:.3g} MB and unpacks to more than {most / 1e6:.3g} MB, as no table of readings "
+            "does, so nothing was read: check the file, or unpack it and save it as CSV"
+        )
+
+
+def _size(source: Path) -> int:
+    with suppress(OSError):
+        files = source.iterdir() if source.is_dir() else [source]
+        return sum(path.stat().st_size for path in files)
+    return 0
+
+
+def _reason(error: Exception) -> str:
+    first = (str(error).splitlines() or [""])[0][:_LONGEST]
+    return first if first and not isinstance(error, KeyError | AssertionError) else "it cannot be parsed"

@@ -13,6 +13,11 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
+
+from hil.errors import Untrustworthy, WrongUse
+
+Answer = TypeVar("Answer")
 
 _DURABLE = 0.25  # s between two requests that the disk keep what it was given
 
@@ -52,18 +57,18 @@ if sys.platform == "win32":
     def sync_folder(folder: Path) -> None:
         """Make a new name in `folder` durable: the system does so by itself."""
 
-    def in_child(work: Callable[[], bytes], *, processor: int, memory: int) -> bytes | None:
+    def in_child(work: Callable[[], Answer], *, processor: int, memory: int) -> Answer | None:
         """Return the answer of `work`, which is not limited here."""
         del processor, memory
         return work()
 
 else:
     import fcntl
+    import pickle
     import resource
     import select
 
-    _ANSWER = 4096  # bytes
-    _PATIENCE = 60.0  # s of wall time, on a computer that is busy with other things
+    _PATIENCE = 60  # s of wall time for one s of processor time, on a computer that is busy with other things
 
     def write_at(file: int, data: bytes, offset: int) -> int:
         """Write `data` at `offset` of an open file; the number of bytes written."""
@@ -111,11 +116,11 @@ else:
         finally:
             os.close(opened)
 
-    def in_child(work: Callable[[], bytes], *, processor: int, memory: int) -> bytes | None:
-        """Return the answer of `work`, a few hundred bytes, from a copy of this process.
+    def in_child(work: Callable[[], Answer], *, processor: int, memory: int) -> Answer | None:
+        """Return the answer of `work` from a copy of this process: anything but None that can be pickled.
 
         The copy ends after `processor` s of processor time, and has `memory` bytes more than this process. None where
-        `work` exceeds the time, crashes or raises.
+        `work` exceeds a limit, crashes or raises. Raises WrongUse and Untrustworthy as `work` does.
         """
         reading, writing = os.pipe()
         with warnings.catch_warnings():
@@ -124,16 +129,33 @@ else:
         if child == 0:
             try:
                 _limit(processor, memory)
-                os.write(writing, work())
+                _send(work, writing)
             finally:
                 os._exit(0)
         os.close(writing)
         try:
-            return os.read(reading, _ANSWER) or None if select.select([reading], [], [], _PATIENCE)[0] else None
+            with os.fdopen(reading, "rb") as answers:
+                if not select.select([reading], [], [], _PATIENCE * processor)[0]:
+                    return None
+                answer, refusal = pickle.load(answers)  # noqa: S301 - from our own copy
+        except (EOFError, pickle.UnpicklingError):  # it ended before it had answered
+            return None
         finally:
-            os.close(reading)
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
+        if refusal is not None:
+            raise refusal
+        return answer  # type: ignore[no-any-return]
+
+    def _send(work: Callable[[], Answer], pipe: int) -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what a library prints when it crashes helps nobody
+        answer: tuple[Answer | None, Exception | None]
+        try:
+            answer = work(), None
+        except (WrongUse, Untrustworthy) as error:
+            answer = None, error
+        with os.fdopen(pipe, "wb") as answers:
+            pickle.dump(answer, answers, protocol=5)
 
     def _limit(processor: int, memory: int) -> None:
         faulthandler.disable()
