@@ -82,7 +82,9 @@ def bounded(source: Path, work: Callable[[], Answer]) -> Answer:
                 "save it as CSV"
             ) from None
 
-    answer = in_child(read, processor=processor, memory=memory)
+    answer = None
+    with suppress(MemoryError):  # where there is no copy of a process
+        answer = in_child(read, processor=processor, memory=memory)
     if answer is None:
         raise WrongUse(
             f"{source} has {size / 1e6:.3g} MB, and reading it crashes, or takes more than {processor} s of processor "
