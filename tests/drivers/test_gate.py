@@ -284,25 +284,6 @@ def test_a_motor_that_measures_no_torque_when_off_must_return_from_where_its_tor
     assert ("friction" in result.alarm) != off
 
 
-class Rearming(Pulling):
-    """A device whose adapter sends a set-point where it should only read, which switches its output stage on."""
-
-    is_on = True
-
-    def disarm(self) -> None:
-        self.is_on = False
-
-    def exchange(self, command: Command) -> Sample:
-        self.is_on = True
-        return super().exchange(command)
-
-
-def test_a_device_that_reading_switches_on_again_ends_off() -> None:
-    device = Rearming(0.0)
-    assert confirm_torque_off(device, driven()).confirmed  # type: ignore[arg-type]  # only what it calls
-    assert not device.is_on
-
-
 @pytest.mark.parametrize(("value", "lsb"), [(math.nan, 1.0), (math.inf, 1.0), (1e300, 1e-300)])
 def test_what_cannot_be_encoded_is_refused(value: float, lsb: float) -> None:
     with pytest.raises(UnsafeCommand):
