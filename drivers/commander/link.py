@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 from drivers.off_path import OffPath, descriptor_of, serial_interval
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply, link_lost
+from drivers.uart.adapter import Lateness
 from drivers.uart.lines import TextLines
 from drivers.uart.port import GONE, OpenPort
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 LONGEST = 20
 """Most characters of a command, with its line end, that fit the library's buffer."""
 _REPLY = 100  # bytes of the longest reply, for its time on the wire
-_SILENT_FOR = 5e-3  # s without a byte after which the line counts as silent
+_SILENT_FOR = 5e-3  # s without a byte after which the line counts as silent, if the adapter holds no bytes back
 _PATIENCE = 0.1  # s until the line must be silent
 _AT_ONCE = 4096
 _SHOWN = 40  # characters of an unexpected line in a message
@@ -33,7 +34,7 @@ class CommanderLink:
         self._port = port
         self._baudrate = baudrate
         self._clock = clock
-        self._timeout = timeout
+        self._late = Lateness(name, timeout, _SILENT_FOR)
         self._lines = TextLines()
         self._quarantined = True
         self.repeats = Repeats()
@@ -66,21 +67,22 @@ class CommanderLink:
         self._begin()
         text = "".join(f"{command}\n" for command in commands)
         self._put(text)
-        line_time = 10.0 * (len(text) + _REPLY) / self._baudrate
-        deadline = self._clock.now() + line_time + self._timeout
+        due = self._clock.now() + 10.0 * (len(text) + _REPLY) / self._baudrate
+        deadline = due + self._late.wait
         other = ""
         while True:
             for line in self._take():
                 result = wanted(line)
                 if result is not None:
                     self._quarantined = False
+                    self._late.note(self._clock.now() - due)
                     return result
                 other = line
             if self._clock.now() >= deadline:
                 break
         if other:
             raise BadReply(f"only other lines than the reply to {what} arrived ({shown(other)}): the sample is dropped")
-        raise NoReply(f"no reply to {what} within {self._timeout * 1e3:.3g} ms beyond the wire's time")
+        raise NoReply(f"no reply to {what} within {self._late.wait * 1e3:.3g} ms beyond the wire's time")
 
     def listen(self, seconds: float, last: str = "") -> list[str]:
         """Return the lines that arrive within `seconds`; end earlier when the line `last` arrives."""
@@ -117,7 +119,7 @@ class CommanderLink:
             return
         end = self._clock.now() + _PATIENCE
         quiet_since = self._clock.now()
-        while self._clock.now() - quiet_since < _SILENT_FOR:
+        while self._clock.now() - quiet_since < self._late.silence:
             if self._receive():
                 quiet_since = self._clock.now()
             if self._clock.now() >= end:

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
 
+from drivers.packets.port import SILENT_FOR
 from drivers.packets.wire import BROADCAST, PING, READ, SYNC_WRITE, WRITE
 from drivers.retry import Repeats
 from drivers.servo import BadReply, DriverError, NoReply, link_lost
+from drivers.uart.adapter import Lateness
 from drivers.uart.port import GONE
 
 if TYPE_CHECKING:
@@ -37,7 +39,7 @@ class Bus:
         self._port = port
         self._id = ident
         self._clock = clock
-        self._timeout = timeout
+        self._late = Lateness(port.port_name, timeout, SILENT_FOR)
         self._wire = wire
         self._quarantined = True
         self._reads: dict[tuple[int, int], bytes] = {}
@@ -86,9 +88,9 @@ class Bus:
         bit/s.
         """
         return NoReply(
-            f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
-            f"the cable, the id and the baud rate (a new servo has id 1 and {factory_rate} baud), and the USB "
-            "adapter's latency timer (1 ms)"
+            self._late.remedy
+            or f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
+            f"the cable, the id and the baud rate (a new servo has id 1 and {factory_rate} baud)"
         )
 
     def garbled(self, error: BadReply) -> BadReply:
@@ -117,7 +119,7 @@ class Bus:
         if not self._quarantined:
             return
         try:
-            silent = self._port.drain()
+            silent = self._port.drain(self._late.silence)
         except GONE as error:
             raise link_lost(self._port.port_name, error) from None
         if not silent:
@@ -143,7 +145,8 @@ class Bus:
         self._put(frame)
         whole = self._wire.status_size + size
         line = 10.0 * (len(frame) + whole) / self._port.baudrate
-        self._port.expect(self._clock.now() + line + self.return_delay + self._timeout, whole)
+        due = self._clock.now() + line + self.return_delay
+        self._port.expect(due + self._late.wait, whole)
         try:
             raw, result = self._wire.receive(self._port)
         except IndexError:
@@ -151,10 +154,13 @@ class Bus:
         except GONE as error:
             raise link_lost(self._port.port_name, error) from None
         if result == COMM_RX_TIMEOUT:
-            raise NoReply(f"servo {self._id} did not answer within {self._timeout * 1e3:.3g} ms beyond the wire's time")
+            waited = self._late.wait * 1e3
+            raise NoReply(f"servo {self._id} did not answer within {waited:.3g} ms beyond the wire's time")
         if result != COMM_SUCCESS:
             raise _bad("the reply is damaged or cut short")
-        return self._checked(self._wire.opened(raw), size, what)
+        answer = self._checked(self._wire.opened(raw), size, what)
+        self._late.note(self._clock.now() - due)
+        return answer
 
     def _checked(self, answer: Answer | None, size: int, what: str) -> bytes:
         if answer is None or answer.ident != self._id:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from dynamixel_sdk import PortHandler
 
+from drivers.uart.adapter import Echo
 from drivers.uart.port import GONE, POLL, open_port
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 BUDGET = 4096
 """Most bytes that are read for one reply: a line that never falls silent must not block this program."""
 SILENT_FOR = 2e-3
-"""s without a byte after which the line counts as silent."""
+"""s without a byte after which the line counts as silent, if the adapter holds no bytes back."""
 PATIENCE = 0.1
 """s to wait for the line to fall silent."""
 
@@ -38,6 +39,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         self._budget = 0
         self._whole = 0
         self._ahead = bytearray()
+        self._echo = Echo()
 
     def openPort(self) -> bool:  # noqa: N802 - the SDK's name
         """Open the port with an exclusive lock. Raises DriverError with the remedy."""
@@ -59,6 +61,11 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         self._whole = size
         self._ahead.clear()
 
+    def writePort(self, packet: bytes) -> int:  # noqa: N802 - the SDK's name
+        """Send `packet` and return how many of its bytes were accepted."""
+        self._echo.sent(packet)
+        return self.ser.write(packet) or 0
+
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
         """Return up to `length` bytes. Waits for them no longer than `POLL`, and not after the deadline.
 
@@ -66,13 +73,13 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         once instead of twice.
         """
         if len(self._ahead) < length and self._budget > 0:
-            wanted = max(length, self._whole) - len(self._ahead)
+            wanted = max(length, self._whole) - len(self._ahead) + self._echo.due
             self._whole = 0
             if self._clock.now() >= self._deadline:
                 wanted = min(wanted, self.ser.in_waiting)
             data: bytes = self.ser.read(wanted) if wanted > 0 else b""
             self._budget -= len(data)
-            self._ahead += data
+            self._ahead += self._echo.without(data)
         out = bytes(self._ahead[:length])
         del self._ahead[:length]
         return out
@@ -81,16 +88,15 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         """Return whether the deadline has passed, or more bytes were read than a reply can have."""
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
-    def drain(self) -> bool:
-        """Discard received bytes until the line is silent. Return False if the line does not fall silent within
-        `PATIENCE`.
-        """
+    def drain(self, silence: float) -> bool:
+        """Discard received bytes until none comes for `silence` s. Return False if some come for all of `PATIENCE`."""
+        self._echo.sent(b"")
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()
         while self._clock.now() < end:
             self.expect(self._clock.now() + POLL, 0)
             if self.readPort(256):
                 quiet_since = self._clock.now()
-            elif self._clock.now() - quiet_since >= SILENT_FOR:
+            elif self._clock.now() - quiet_since >= silence:
                 return True
         return False

@@ -40,9 +40,12 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PacketTiming:
-    """Durations on the line. usb_latency: s that the adapter holds received bytes back."""
+    """Durations on the line, and its adapter. usb_latency: s that the adapter holds received bytes back. echo: whether
+    the adapter also receives what it sends, as a half-duplex adapter without a switch does.
+    """
 
     usb_latency: float = 1e-3
+    echo: bool = False
 
 
 class LineSettings(NamedTuple):
@@ -127,6 +130,9 @@ class PacketBus:
         out: list[Reply] = []
         begin = max(now, self._free)
         end = begin + self._duration(len(data), baudrate)
+        if self._timing is not None and self._timing.echo and data:
+            byte = self._duration(1, baudrate)
+            out += (Reply(*piece) for piece in paced([(end, data)], byte, self._timing.usb_latency))
         for frame, used in self._framer.feed(data, begin, end):
             arrival = begin + self._duration(used, baudrate)
             if not self.faults.loses_request(arrival):
