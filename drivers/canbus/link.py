@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any
 import can
 import serial
 
+from drivers.canbus.damiao import DamiaoBus
+from drivers.canbus.damiao import encoded as damiao_bytes
 from drivers.canbus.off_path import Encode, datagram, encoded, from_slcan_text, slcan_text, socketcan_bytes
 from drivers.off_path import OffPath, OwnBus, descriptor_of
 from drivers.owner import Claim
@@ -137,6 +139,8 @@ def open_interface(config: BusConfig) -> can.BusABC:
     try:
         if config.interface == "udp_multicast":
             return _multicast(config.channel)
+        if config.interface == "damiao" and not config.data_bitrate:
+            return DamiaoBus(config.channel, config.bitrate)
         bus: can.BusABC = can.Bus(
             interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
         )
@@ -243,7 +247,9 @@ class CanLink:
         config, bus = self._config, self._bus
         where: dict[str, Any] = {}
         encode: Encode = slcan_text
-        if self._port is not None:
+        if isinstance(self._bus, DamiaoBus):  # no bytes that end its frame are without effect on the motor
+            encode, where = damiao_bytes, {"descriptor": descriptor_of(self._port)}
+        elif self._port is not None:
             where = {"descriptor": descriptor_of(self._port), "resync": b"\r"}
         elif not self._opened_here or config.interface == "virtual":
             pass  # the drive is in this process, and ends with it

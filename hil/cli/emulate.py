@@ -28,7 +28,7 @@ def emulate(
     firmware: Annotated[str | None, typer.Option(help="The drive's firmware, where there are several.")] = None,
     ident: Annotated[list[int] | None, typer.Option("--id", help="Its id on the bus; repeat it for several.")] = None,
     link: Annotated[Path | None, typer.Option(help="The serial port to create: a symlink to a pty.")] = None,
-    bus: Annotated[str | None, typer.Option(help="The CAN bus: slcan (at --link), udp_multicast, ...")] = None,
+    bus: Annotated[str | None, typer.Option(help="The CAN bus: slcan, damiao (at --link), udp_multicast, ...")] = None,
     channel: Annotated[str | None, typer.Option(help="The channel of --bus.")] = None,
     baudrate: Annotated[int | None, typer.Option(help="bit/s.")] = None,
     stand: options.StandFile = None,

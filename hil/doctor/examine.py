@@ -90,7 +90,7 @@ def _check_port(checks: CheckList, stand: Stand) -> None:
     name = getattr(table, "port", None) if interface is None else getattr(table, "channel", None)
     if not isinstance(name, str) or "://" in name:
         return
-    if interface in {None, "slcan"}:
+    if interface in {None, "slcan", "damiao"}:
         problem = serial_problem(Path(name.partition("@")[0]))
     elif interface == "socketcan":
         seen = {port.name: port.problem for port in can_interfaces()}

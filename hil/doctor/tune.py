@@ -132,7 +132,8 @@ def _answered(servo: Servo) -> bool:
 def _adapter(stand: Stand) -> str:
     """Return the name of the serial adapter in /sys, "" if the stand has no serial port."""
     table = stand.devices.get(str(stand.stand.backend))
-    port = getattr(table, "channel" if getattr(table, "interface", None) == "slcan" else "port", None)
+    serial = getattr(table, "interface", None) in {"slcan", "damiao"}
+    port = getattr(table, "channel" if serial else "port", None)
     return Path(port).resolve().name if isinstance(port, str) else ""
 
 

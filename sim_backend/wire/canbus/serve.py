@@ -14,6 +14,7 @@ import can
 
 from sim_backend.wire.arrivals import Arrivals
 from sim_backend.wire.canbus.bus import CanBus, CanNode
+from sim_backend.wire.canbus.damiao import damiao_line
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.messages import from_message, to_message
 from sim_backend.wire.canbus.slcan import slcan_line
@@ -127,11 +128,11 @@ class CanFamily:
     ) -> PtyLine | CanServer:
         """Return a bus of drives. Serve it with `with served:` in a thread, or with `served.serve()` in this thread.
 
-        channel, interface: for the interface "slcan", `channel` becomes a symlink to a pty that speaks slcan; any other
-        interface and channel are python-can's. timing: durations on the bus; None: nothing takes time. log: where the
-        torque of each drive is logged. faults: the faults that will happen. Raises ValueError for a model that is not
-        in `known` or an impossible id, FileExistsError if `channel` is a file, can.CanError if the interface cannot be
-        opened.
+        channel, interface: for the interfaces "slcan" and "damiao", `channel` becomes a symlink to a pty on which such
+        an adapter answers; any other interface and channel are python-can's. timing: durations on the bus; None:
+        nothing takes time. log: where the torque of each drive is logged. faults: the faults that will happen. Raises
+        ValueError for a model that is not in `known` or an impossible id, FileExistsError if `channel` is a file,
+        can.CanError if the interface cannot be opened.
         """
         model = model or self.default
         if model not in self.known:
@@ -143,4 +144,5 @@ class CanFamily:
         bus = CanBus(drives, timing=timing)
         if faults is not None:
             follow(faults, bus.faults, [drive.motor for drive in drives], now, can=True)
-        return slcan_line(Path(channel), bus) if interface == "slcan" else CanServer(interface, str(channel), bus)
+        line = {"slcan": slcan_line, "damiao": damiao_line}.get(interface)
+        return CanServer(interface, str(channel), bus) if line is None else line(Path(channel), bus)
