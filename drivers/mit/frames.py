@@ -22,6 +22,10 @@ READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 ENTER, LEAVE, CLEAR = (bytes([0xFF] * 7 + [last]) for last in (0xFC, 0xFD, 0xFB))
 RESTARTED = 0x100
 """Fault code of this project: the motor no longer follows the command while armed, and reports no error."""
+SERVO_CURRENT, SERVO_REPORT, SERVO_REPORTS = 0x01, 0x29, 0.11
+"""Servo mode of an AK: high digits of the identifiers of 29 bits that set its current and that report its state, and s
+in which a report comes (10 to 500 a second).
+"""
 DISABLED, ENABLED = 0, 1
 LOST_COMMUNICATION = 13
 _TOP16, _TOP12 = 0xFFFF, 0xFFF

@@ -14,6 +14,9 @@ from drivers.mit.frames import (
     READ,
     REFRESH,
     REGISTERS_ID,
+    SERVO_CURRENT,
+    SERVO_REPORT,
+    SERVO_REPORTS,
     WRITE,
     Codec,
     MitState,
@@ -48,6 +51,7 @@ class MitMotor:
             only_on_request=frozenset({"state"}),
         )
         self._register: int | None = None
+        self._servo_mode = False
         self.settings: Settings[str, float] = Settings(self.get, self._put)
 
     @property
@@ -168,6 +172,8 @@ class MitMotor:
 
     def _kind(self, message: can.Message) -> Hashable | None:
         data = message.data
+        if message.is_extended_id and message.arbitration_id == SERVO_REPORT << 8 | self._config.id:
+            self._servo_mode = not self.damiao
         if message.is_extended_id or message.is_remote_frame or message.arbitration_id not in self._config.reply_ids:
             return None
         ident = self._config.id
@@ -187,8 +193,20 @@ class MitMotor:
     def _no_reply(self, error: DriverError) -> DriverError:
         if isinstance(error, BadReply) or self._link.error_frames:
             return garbled(self.requests.name, str(error))
+        if self._is_in_servo_mode():
+            return DriverError(
+                f"motor {self._config.id} is in servo mode (it sends frames with identifiers of 29 bits), and MIT "
+                "frames do nothing: choose MIT mode with the vendor's tool, then switch its power off and on"
+            )
         return NoReply(
             f"no motor {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check its "
             "power, the wiring and its termination, the id, the bit rate, and mit.reply_id "
             f"(replies with identifier {' or '.join(str(i) for i in sorted(self._config.reply_ids))} are expected)"
         )
+
+    def _is_in_servo_mode(self) -> bool:
+        """Return whether an AK reports in servo mode. Before it listens, it switches the current of that mode off."""
+        if not self.damiao:
+            self.requests.send([frame(SERVO_CURRENT << 8 | self._config.id, bytes(4), extended=True)])
+            self.requests.wait_until(SERVO_REPORTS, lambda: self._servo_mode)
+        return self._servo_mode

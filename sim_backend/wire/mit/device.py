@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.mit import servo_mode
 from sim_backend.wire.mit.tables import MODELS, registers
 
 if TYPE_CHECKING:
@@ -48,8 +49,9 @@ _AK_HOTTEST = 100.0
 class MitDevice:
     """An emulated motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
-    reply_id: the CAN identifier of the replies; None: that of a new motor: its own id for an AK, 0 for a Damiao. Raises
-    KeyError for a model that is not in the table.
+    reply_id: the CAN identifier of the replies; None: that of a new motor: its own id for an AK, 0 for a Damiao. servo:
+    whether an AK is in servo mode, which is chosen with the vendor's tool. Raises KeyError for a model that is not in
+    the table.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class MitDevice:
         ident: int = 1,
         *,
         reply_id: int | None = None,
+        servo: bool = False,
         parameters: SimParameters | None = None,
         now: float = 0.0,
     ) -> None:
@@ -79,6 +82,7 @@ class MitDevice:
         self._powered = now
         self._ready = now
         self._heard = now
+        self._report_due = now if servo else math.inf
 
     @property
     def ident(self) -> int:
@@ -102,13 +106,16 @@ class MitDevice:
         return "on" if self.motor.enabled and self.values[9] else "off"
 
     def due(self) -> float:
-        """Return infinity: the motor sends nothing without a request."""
-        return math.inf
+        """Return the time of the next report in servo mode, s; infinity in MIT mode."""
+        return self._report_due
 
     def unasked(self, now: float) -> list[CanFrame]:
-        """Return no frame: the motor sends nothing without a request."""
+        """Return the report that is due."""
         self.advance(now)
-        return []
+        if self._report_due > now:
+            return []
+        self._report_due = max(self._ready, now) + servo_mode.UPLOAD
+        return [servo_mode.report(self.ident, self.motor, self.model, self._zero, self.error)]
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
@@ -137,9 +144,14 @@ class MitDevice:
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
-        if frame.extended or frame.remote or frame.error or now < self._ready or len(frame.data) != 8:
+        if frame.remote or frame.error or now < self._ready:
             return []
         self.advance(now)
+        if self._report_due < math.inf:
+            self._serve(frame)
+            return []
+        if frame.extended or len(frame.data) != 8:
+            return []
         if self.damiao and frame.ident == 0x7FF:
             return self._register(frame.data, now)
         if frame.ident not in self._listens():
@@ -150,6 +162,17 @@ class MitDevice:
         elif self.motor.enabled:
             self._command(frame)
         return [self._state()]
+
+    def _serve(self, frame: CanFrame) -> None:
+        """Follow a command in servo mode, in which a motor is enabled by its first command."""
+        if not frame.extended or frame.ident & 0xFF != self.ident or self.error:
+            return
+        if frame.ident >> 8 == servo_mode.ORIGIN:
+            self._zero = self.motor.position
+        demand = servo_mode.law(frame.ident >> 8, frame.data, self.model, self._zero, SPEED_GAIN * self.model.scale)
+        if demand is not None:
+            self.motor.enable()
+            self.motor.follow(demand)
 
     def _listens(self) -> set[int]:
         """Return the CAN identifiers of commands that the motor accepts; for a Damiao they depend on its mode."""
