@@ -33,6 +33,7 @@ X_MODELS += ["xl430-w250", "xm430-w210", "xm430-w350", "xm540-w150", "xm540-w270
 MX_MODELS = ["mx-64", "mx-106"]
 LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xm430-w350", "xm540-w270"]
 FEETECH_MODELS = ["sts3215", "sts3250", "hls3606m", "hls2915m", "hls3930m", "scs0009"]
+ROBSTRIDE = [f"rs0{n}" for n in range(7)]
 DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
 
 
@@ -42,7 +43,7 @@ class Unsupported(Exception):
 
 @dataclass(frozen=True)
 class Session:
-    """client: the package. backend, models: of `hil emulate`. talk: the session, given the link and the model."""
+    """client: the package. backend, models: words and --model of `hil emulate`. talk: the session, given the link and the model."""
 
     client: str
     backend: str
@@ -217,6 +218,23 @@ def of_damiao_motor(link: str, model: str) -> None:
         require(state()["status_code"] == 0, "it is not disabled")
 
 
+def of_pydamiao(link: str, model: str) -> None:
+    """The package's motor behind the USB-CAN adapter of the motor's maker."""
+    from pydamiao import ControlMode, Motor, MotorType, SerialBus
+
+    bus = SerialBus(link)
+    try:
+        motor = Motor(bus, MotorType[f"DM{DAMIAO[model]}"], 1, auto_disable=False)
+        require(motor.set_mode(ControlMode.MIT, timeout=5.0).is_ok, "no MIT mode")
+        motor.enable()
+        require(motor.set_mit(kp=0.0, kd=0.0, pos=0.0, vel=0.0, torque=0.2).is_ok, "no set-point")
+        time.sleep(0.2)
+        require(motor.refresh_state(timeout=5.0).unwrap().torque > 0.1, "no torque")
+        require(motor.disable().is_ok, "it is not disabled")
+    finally:
+        bus.close()
+
+
 def lerobot_bus(kind: str, model: str, link: str) -> Any:
     """LeRobot's bus of a kind for one motor.
 
@@ -301,11 +319,12 @@ SESSIONS = [
     Session("lerobot", "feetech", ["sts3215", "sts3250", "scs0009"], of_lerobot("feetech")),
     Session("feetech-servo-sdk", "feetech", FEETECH_MODELS, of_feetech_sdk),
     Session("moteus", "moteus", ["moteus"], of_moteus),
-    Session("robstride", "robstride", ["rs01"], of_robstride),
-    Session("robstride-dynamics", "robstride", ["rs00", "rs01", "rs03"], of_robstride_dynamics),
+    Session("robstride", "robstride", ROBSTRIDE, of_robstride),
+    Session("robstride-dynamics", "robstride", ROBSTRIDE, of_robstride_dynamics),
     Session("odrive-can", "odrive", ["0.5.6"], of_odrive_can),
     Session("canopen", "cia402", ["epos4", "epos2", "generic"], of_canopen),
     Session("damiao-motor", "mit", list(DAMIAO), of_damiao_motor),
+    Session("pydamiao", "mit --bus damiao", ["dm-j4310", "dm-j4340", "dm-j6006", "dm-j8009"], of_pydamiao),
 ]
 
 
@@ -327,7 +346,7 @@ def emulated(backend: str, model: str) -> Iterator[str]:
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / "tty"
         option = {"odrive": ["--firmware", model], "moteus": []}.get(backend, ["--model", model])
-        command = [sys.executable, "-m", "hil", "emulate", backend, "--link", str(link), *option]
+        command = [sys.executable, "-m", "hil", "emulate", *backend.split(), "--link", str(link), *option]
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=os.environ | {"PYTHONPATH": str(ROOT)})
         try:
             end = time.monotonic() + 60.0

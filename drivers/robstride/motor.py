@@ -234,5 +234,6 @@ class RobstrideMotor:
                     if not reply.is_extended_id and reply.arbitration_id == 0x580 + ident:
                         return f"speaks CANopen: {remedy} the extended frame 00000FFF#0102030405060000"
                     if not reply.is_extended_id and reply.arbitration_id <= 0xFF and reply.data[:1] == bytes([ident]):
-                        return f"speaks MIT frames: {remedy} the frame {ident:03X}#FFFFFFFFFFFF00FD"
+                        words = "speaks MIT frames: an AK or a Damiao needs backend = 'mit'; of a RobStride,"
+                        return f"{words} {remedy} the frame {ident:03X}#FFFFFFFFFFFF00FD"
         return ""

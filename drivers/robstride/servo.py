@@ -1,4 +1,4 @@
-"""A RobStride motor in its private protocol as a `drivers.servo.Servo`. Limits: docs/can.md.
+"""A RobStride motor in its private protocol as a `drivers.servo.Servo`. Limits: docs/robstride.md.
 
 A tick is one frame each way: an operation frame with a torque and both gains zero, and a feedback with angle, velocity,
 torque and mode. Operation mode is used and not current mode, in which a set-point is the write of a parameter in A

@@ -6,7 +6,8 @@ bind in operation mode. Values are cut off to counts, so that zero is nowhere. W
 operation frame to the host that it heard last; a fault frame goes there once, when the fault comes; it cannot run
 until the fault is cleared. Enabling begins without a set-point, in both position modes at the present angle. The ramps
 acc_rad, acc_set and dcc_set, the integral of the speed loop, and what tunes the current loop have no effect. A zero is
-kept without power. Of MIT frames and CANopen there is what distinguishes them, the operation of MIT, and the way back.
+kept without power. MIT frames are those of the manual of the RS00 of 2026-01-12, section 5; of CANopen there is what
+distinguishes it, and the way back.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
-from sim_backend.wire.robstride.tables import MODELS, items
+from sim_backend.wire.robstride.tables import MODELS, Item, items
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -36,6 +37,7 @@ SPEED_GAIN = 2e-3
 _DELIVERED_SPEED_GAIN = 6.0
 _FEEDBACK_BITS = {OVERHEAT: 4, DRIVER: 2, UNDERVOLTAGE: 1, OVERVOLTAGE: 8, 16: 2, 32: 2, 65536: 2}
 _FEEDBACK_BITS |= {UNCALIBRATED: 32, STALL: 16}
+_MIT_MODES = {0: OPERATION, 1: CSP, 2: SPEED}
 _SETPOINTS = frozenset({"run_mode", "iq_ref", "spd_ref", "loc_ref"})
 _KEY = bytes([1, 2, 3, 4, 5, 6])
 """The first bytes of a frame that changes what is stored."""
@@ -69,6 +71,7 @@ class RobstrideDevice:
         self.protocol = self._next_protocol = protocol
         self._serial = serial.to_bytes(8, "little")
         self._items = items(self.model)
+        self._named = {item.name: item for item in self._items.values()}
         self._saved = {item.name: item.initial for item in self._items.values()}
         self.values = dict(self._saved)
         joint = parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance)
@@ -79,6 +82,7 @@ class RobstrideDevice:
         self._tripped = False
         self._rate = self._next_rate = 1
         self._zero, self._host = 0.0, 0xFD
+        self._mit_host = 0
         self._powered = self._ready = self._heard = now
         self._fault_due = self._report_due = math.inf
 
@@ -146,10 +150,12 @@ class RobstrideDevice:
         data = frame.data.ljust(8, b"\0")
         if self.protocol == CANOPEN:
             return self._canopen(frame, data)
-        if frame.extended != (self.protocol == PRIVATE) or frame.ident & (0x7FF, 0xFF)[frame.extended] != self.ident:
+        if frame.extended != (self.protocol == PRIVATE) or frame.ident & 0xFF != self.ident:
             return []
         self._heard, self._tripped = now, False
-        return [self._mit(data)] if self.protocol == MIT else self._private(frame.ident >> 24, frame.ident >> 8, data)
+        if self.protocol == MIT:
+            return [self._mit(frame.ident >> 8, data)]
+        return self._private(frame.ident >> 24, frame.ident >> 8, data)
 
     def _private(self, kind: int, field: int, data: bytes) -> list[CanFrame]:
         if kind == 1:
@@ -223,7 +229,9 @@ class RobstrideDevice:
         item = self._items.get(int.from_bytes(data[:2], "little"))
         if item is None or not item.bounds or item.name in self.refused:
             return
-        value = float(item.layout.unpack_from(data, 4)[0])
+        self._put(item, float(item.layout.unpack_from(data, 4)[0]))
+
+    def _put(self, item: Item, value: float) -> None:
         if item.bounds[0] <= value <= item.bounds[1]:
             self.values[item.name] = value
             if self.values["run_mode"] != OPERATION or item.name == "run_mode":
@@ -270,24 +278,46 @@ class RobstrideDevice:
     def _to_host(self, kind: int, field: int, data: bytes) -> CanFrame:
         return CanFrame(kind << 24 | field << 8 | self._host, data, extended=True)
 
-    def _mit(self, data: bytes) -> CanFrame:
-        """Answer a frame of 11 bits: FF six times, a choice and a command, or a set-point."""
+    def _mit(self, mode: int, data: bytes) -> CanFrame:
+        """Answer a frame of 11 bits: FF six times, a choice and a command, or set-points of a mode."""
         choice, command = data[6:]
-        if data[:6] != b"\xff" * 6:
+        if mode:
+            self._set_points(mode, data)
+        elif data[:6] != b"\xff" * 6:
             word = int.from_bytes(data, "big")
             position, *rest = word >> 48, word >> 36 & 0xFFF, word >> 24 & 0xFFF, word >> 12 & 0xFFF, word & 0xFFF
             velocity, kp, kd, torque = (share / 0xFFF for share in rest)
-            self._impede([torque, position / 0xFFFF, velocity, kp, kd])
-        elif command == 0xFD and choice <= MIT:
-            self._next_protocol = choice
+            if self.values["run_mode"] == OPERATION:
+                self._impede([torque, position / 0xFFFF, velocity, kp, kd])
+        elif choice == 0xFF or command == 0xFB:
+            if command == 0xFB and choice != 0xFF:
+                return CanFrame(self._mit_host, bytes([self.ident]) + struct.pack("<I", self.faults) + bytes(3))
+            if command in {0xFB, 0xFC, 0xFD, 0xFE}:
+                self._act({0xFC: 3, 0xFE: 6}.get(command, 4), bytes([command != 0xFD]))
+        elif command == 0xFC:
+            self._put(self._named["run_mode"], float(_MIT_MODES.get(choice, -1)))
+        else:
+            self._choose(choice, command)
             return CanFrame(self.ident, self._serial)
-        elif command == 0xFB and choice != 0xFF:
-            return CanFrame(self._host, bytes([self.ident]) + struct.pack("<I", self.faults) + bytes(3))
-        elif command in {0xFB, 0xFC, 0xFD, 0xFE}:
-            self._act({0xFC: 3, 0xFE: 6}.get(command, 4), bytes([command != 0xFD]))
         angle, rate, effort, warmth = self._state(12)
         body = (self.ident << 40 | angle << 24 | rate << 12 | effort).to_bytes(6, "big")
-        return CanFrame(self._host, body + warmth.to_bytes(2, "big"))
+        return CanFrame(self._mit_host, body + warmth.to_bytes(2, "big"))
+
+    def _choose(self, choice: int, command: int) -> None:
+        """Take another id (FA), another protocol at the next start (FD), or another id of the host."""
+        if command == 0xFA and 1 <= choice <= 127:
+            self.ident = choice
+        elif command == 0xFD and choice <= MIT:
+            self._next_protocol = choice
+        elif choice == 0xFD and command <= 127:
+            self._mit_host = command
+
+    def _set_points(self, mode: int, data: bytes) -> None:
+        """Take angle rad and highest speed rad/s (1), or speed rad/s and highest current A (2), in their mode."""
+        names = {1: ("limit_spd", "loc_ref"), 2: ("limit_cur", "spd_ref")}.get(mode, ())
+        if self.values["run_mode"] == _MIT_MODES.get(mode):
+            for name, value in zip(names, reversed(struct.unpack("<ff", data)), strict=False):
+                self._put(self._named[name], value)
 
     def _canopen(self, frame: CanFrame, data: bytes) -> list[CanFrame]:
         """Answer the request for the device type, and the way back to another protocol."""

@@ -192,6 +192,29 @@ def test_mit_frames_run_it_tell_its_fault_and_lead_back() -> None:
     assert ask(device, 0, now=1.0 + BOOT)
 
 
+def test_mit_frames_have_modes_of_position_and_speed_and_change_ids() -> None:
+    device = motor(protocol=MIT)
+
+    def mit(mode: int, data: bytes) -> CanFrame:
+        (reply,) = device.handle(CanFrame(mode << 8 | device.ident, data), 0.0)
+        return reply
+
+    assert mit(0, b"\xff" * 6 + b"\x02\xfc").ident == 0  # speed; the host's id is 0 as delivered
+    assert not device.motor.enabled
+    mit(0, b"\xff" * 7 + b"\xfc")
+    mit(1, struct.pack("<ff", 0.3, 1.0))
+    assert device.motor.demand == 0.0  # not its mode
+    mit(2, struct.pack("<ff", 30.0, 0.5))
+    assert device.motor.demand == pytest.approx(0.5 * 1.48 / math.sqrt(2.0))
+    mit(0, b"\xff" * 6 + b"\x01\xfc")
+    mit(1, struct.pack("<ff", math.nan, math.inf))
+    mit(1, struct.pack("<ff", 0.3, 1.0))
+    assert (device.values["loc_ref"], device.values["limit_spd"]) == (pytest.approx(0.3), 1.0)
+    assert mit(0, b"\xff" * 6 + b"\x05\xfa") == CanFrame(5, device._serial)
+    assert mit(0, b"\xff" * 6 + b"\xfd\x11") == CanFrame(5, device._serial)
+    assert (mit(0, b"\xff" * 7 + b"\xfd").ident, device.ident, device.motor.enabled) == (0x11, 5, False)
+
+
 def test_canopen_tells_its_type_and_leads_back() -> None:
     device = motor()
     ask(device, 25, KEY + bytes([CANOPEN, 8]))

@@ -277,7 +277,7 @@ def test_two_motors_on_one_bus_are_distinguished_by_their_id(make_robstride: Mak
 
 
 def test_the_page_on_it_shows_the_counts_that_are_used() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "can.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "robstride.md").read_text(encoding="utf-8")
     for name, model in models().items():
         codec = Codec(frames.position_range(()), model.velocity, model.torque)
         label = "el05 (EduLite 05)" if name == "el05" else name
