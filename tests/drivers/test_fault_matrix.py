@@ -10,7 +10,7 @@ from hil.acquisition.phases import Phase
 
 from .conftest import benchmark
 
-NAMES = ("dynamixel", "moteus", "cia402", "commander")
+NAMES = ("dynamixel", "moteus", "cia402", "commander", "robstride")
 KINDS = ("ignored-off", "kill", "disk-full", "disk-frozen")
 CELLS = [("dynamixel", kind) for kind in KINDS] + [(name, kind) for name in NAMES[1:] for kind in KINDS[:2]]
 DISKS = [(name, kind) for name in NAMES[1:] for kind in KINDS[2:]]
