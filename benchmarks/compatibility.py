@@ -43,7 +43,7 @@ class Unsupported(Exception):
 
 @dataclass(frozen=True)
 class Session:
-    """client: the package. backend, models: words and --model of `hil emulate`. talk: the session, given the link and the model."""
+    """client: the package. backend, models: words and --model of `hil emulate`. talk: the session on link and model."""
 
     client: str
     backend: str

@@ -144,6 +144,8 @@ def open_interface(config: BusConfig) -> can.BusABC:
         bus: can.BusABC = can.Bus(
             interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
         )
+    except DriverError:
+        raise
     except Exception as error:  # noqa: BLE001 - an interface raises what the library of its adapter's maker raises
         raise DriverError(f"{config.name}: {_remedy(error)} ({type(error).__name__}: {error})") from None
     return bus

@@ -96,12 +96,12 @@ def test_frames_that_arrive_together_are_all_read_and_lost_bytes_cost_one(behind
     bus.shutdown()
 
 
-def test_another_bit_rate_is_another_bus_and_a_second_program_is_kept_out(behind: tuple[CanBus, str]) -> None:
+def test_another_bit_rate_is_another_bus_and_a_second_owner_is_kept_out(behind: tuple[CanBus, str]) -> None:
     _, link = behind
     with pytest.raises(NoReply, match="at 500000 bit/s"):
         MitServo(MitConfig("damiao", link, "dm-j4310", reply_id=0x11, bitrate=500_000))
     first = DamiaoBus(link, 1_000_000)
-    with pytest.raises(DriverError, match="another program has it open"):
+    with pytest.raises(DriverError, match="is open in this program already"):
         MitServo(MitConfig("damiao", link, "dm-j4310"))
     first.shutdown()
     with pytest.raises(ValueError, match="not in tuple"):
