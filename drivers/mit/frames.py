@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal
 
+from drivers.canbus.counts import Counts
 from drivers.servo import BadReply, DeviceFault
 from drivers.tables import table
 
@@ -28,7 +29,6 @@ in which a report comes (10 to 500 a second).
 """
 DISABLED, ENABLED = 0, 1
 LOST_COMMUNICATION = 13
-_TOP16, _TOP12 = 0xFFFF, 0xFFF
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +52,8 @@ class DamiaoRegister:
 
 @dataclass(frozen=True, slots=True)
 class MitState:
-    """A decoded reply: position rad, velocity rad/s, torque N m, temperature degC. status: state of a Damiao, or error
-    code of an AK; 0 in short replies.
+    """A decoded reply: position rad (NaN at the end of its range), velocity rad/s, torque N m, temperature degC.
+    status: state of a Damiao, or error code of an AK; 0 in short replies.
     """
 
     position: float
@@ -96,44 +96,25 @@ class Codec:
 
     def __init__(self, family: Family, position: float, velocity: float, torque: float) -> None:
         self.family = family
-        self._ranges = (position, velocity, torque)
-        self.torque_lsb = 2.0 * torque / _TOP12
-        self.position_lsb = 2.0 * position / _TOP16
-        self.velocity_lsb = 2.0 * velocity / _TOP12
-        self._rest = (round(0.5 * _TOP16), round(0.5 * _TOP12))
-
-    def torque_counts(self, torque: float) -> int:
-        """Return the counts nearest to `torque`, N m, clamped to the motor's range."""
-        limit = self._ranges[2]
-        bounded = max(-limit, min(limit, torque))
-        return max(0, min(_TOP12, round((bounded + limit) / self.torque_lsb)))
+        self.position, self.velocity, self.torque = Counts(position, 16), Counts(velocity, 12), Counts(torque, 12)
 
     def command(self, counts: int) -> bytes:
         """Return the data of a command with a torque of `counts`, and with kp and kd zero."""
-        position, velocity = self._rest
-        word = position << 48 | velocity << 36 | counts
+        word = self.position.middle << 48 | self.velocity.middle << 36 | counts
         return word.to_bytes(8, "big")
 
     def state(self, data: bytes) -> MitState:
-        """Decode a reply. Raises BadReply if the reply is too short or its position is out of range."""
+        """Decode a reply. Raises BadReply if the reply is too short."""
         if len(data) < (8 if self.family == "damiao" else 6):
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
-        position = data[1] << 8 | data[2]
-        velocity = data[3] << 4 | data[4] >> 4
-        torque = (data[4] & 0xF) << 8 | data[5]
-        if position in {0, _TOP16}:
-            raise BadReply(
-                "the position is at the end of its range: set the motor's zero near the middle of the travel"
-            )
-        most_position, most_velocity, most_torque = self._ranges
         if self.family == "damiao":
             status, temperature = data[0] >> 4, float(max(data[6], data[7]))
         else:
             status, temperature = (data[7], float(data[6])) if len(data) >= 8 else (0, float("nan"))
         return MitState(
-            position=position * self.position_lsb - most_position,
-            velocity=velocity * self.velocity_lsb - most_velocity,
-            torque=torque * self.torque_lsb - most_torque,
+            position=self.position.inside(data[1] << 8 | data[2]),
+            velocity=self.velocity.value(data[3] << 4 | data[4] >> 4),
+            torque=self.torque.value((data[4] & 0xF) << 8 | data[5]),
             temperature=temperature,
             status=status,
         )

@@ -91,7 +91,7 @@ class MitMotor:
 
     def off_frames(self) -> list[can.Message]:
         """Return the frames that switch the torque off: zero torque, then leaving motor mode."""
-        zero = self.codec.command(self.codec.torque_counts(0.0))
+        zero = self.codec.command(self.codec.torque.of(0.0))
         return [frame(self._config.id, zero), frame(self._config.id, LEAVE)]
 
     def restoring(self) -> list[can.Message]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import Gate
@@ -91,6 +92,7 @@ class MitServo:
         self._check_error(state)
         if counts is not None:
             self._check_follows(counts, state)
+        require_position(state.position)
         sign = self._config.sign
         # the read that switches a live AK off says nothing of the torque before it
         unknown = counts is None and self._gate.live and not self._motor.damiao
@@ -130,7 +132,7 @@ class MitServo:
     def _torque_off(self, _request: int) -> None:
         self._motor.send_leave()  # before `leave`, which waits for replies that are still due
         if self._motor.leave().status == ENABLED and self._motor.damiao:
-            self._motor.drive(self._motor.codec.torque_counts(0.0))  # it may still obey that
+            self._motor.drive(self._motor.codec.torque.of(0.0))  # it may still obey that
             raise DriverError("it is still enabled")
 
     def _describe(self, firmware: str) -> ServoInfo:
@@ -142,9 +144,9 @@ class MitServo:
             serial_is_id=True,
             firmware=firmware,
             quantities=_QUANTITIES,
-            position_lsb=codec.position_lsb,
-            velocity_lsb=codec.velocity_lsb,
-            torque_lsb=codec.torque_lsb * self._config.torque_scale,
+            position_lsb=codec.position.lsb,
+            velocity_lsb=codec.velocity.lsb,
+            torque_lsb=codec.torque.lsb * self._config.torque_scale,
             torque_uncertainty=model.torque_uncertainty if self._config.torque_scale == 1.0 else math.nan,
             watchdog=self._config.watchdog if self._motor.damiao else 0.0,  # an AK's cannot be read over CAN
             watchdog_remedy="set mit.watchdog = 0.1" if self._motor.damiao else "",
@@ -161,7 +163,7 @@ class MitServo:
         motor.require("timeout", math.ceil(self._config.watchdog / _TIMEOUT_LSB - 1e-9))
 
     def _enable(self) -> None:
-        zero = self._motor.codec.torque_counts(0.0)
+        zero = self._motor.codec.torque.of(0.0)
         self._check_error(self._motor.enter())
         state = self._motor.drive(zero)
         if self._motor.damiao and state.status != ENABLED:
@@ -170,7 +172,7 @@ class MitServo:
     def _counts(self, torque: float) -> tuple[int, bool]:
         """Return `torque`, N m, in counts, and whether the motor's range clipped it."""
         asked = self._config.sign * torque / self._config.torque_scale
-        return self._motor.codec.torque_counts(asked), abs(asked) > self._config.ranges[2]
+        return self._motor.codec.torque.of(asked), abs(asked) > self._config.ranges[2]
 
     def _check_error(self, state: MitState) -> None:
         """Raise DeviceFault if the motor reports an error.
@@ -192,8 +194,8 @@ class MitServo:
 
         An AK that was restarted does not report so; it only stops following the command.
         """
-        lsb = self._motor.codec.torque_lsb
-        asked = (counts - self._motor.codec.torque_counts(0.0)) * lsb
+        lsb = self._motor.codec.torque.lsb
+        asked = (counts - self._motor.codec.torque.of(0.0)) * lsb
         follows = abs(state.torque - asked) <= 0.5 * abs(asked) + 4.0 * lsb
         self._ignored = 0 if follows else self._ignored + 1
         if self._ignored >= _IGNORED:

@@ -12,6 +12,7 @@ import struct
 from dataclasses import dataclass
 from functools import cache
 
+from drivers.canbus.counts import Counts
 from drivers.servo import BadReply, DeviceFault
 from drivers.tables import table, texts_of
 
@@ -27,7 +28,6 @@ STOPPED, RUNNING = 0, 2
 """Modes of a motor."""
 WATCHDOG, RESTARTED, OTHER_HOST, REPORTED = 0x100, 0x101, 0x102, 1 << 24
 """Our codes beside the fault bits; REPORTED is added to the bits of a fault frame."""
-_TOP = 0xFFFF
 _WRAPS, _CLAMPS, _WRAPS_SINCE = 4.0 * math.pi, 12.5, (0, 0, 2, 6)
 _STATE = struct.Struct(">HHHH")
 
@@ -90,28 +90,22 @@ def fault(bits: int, reported: int) -> DeviceFault:
 
 
 class Codec:
-    """Frames for one motor whose values span plus and minus `position` rad, `velocity` rad/s and `torque` N m."""
+    """Decodes the feedback of one motor whose values span plus and minus `position` rad, `velocity` rad/s and `torque`
+    N m.
+    """
 
     def __init__(self, position: float, velocity: float, torque: float) -> None:
-        self._ranges = (position, velocity, torque)
-        self.position_lsb, self.velocity_lsb, self.torque_lsb = (2.0 * most / _TOP for most in self._ranges)
-
-    def torque_counts(self, torque: float) -> int:
-        """Return the counts nearest to `torque` N m within the range."""
-        limit = self._ranges[2]
-        bounded = max(-limit, min(limit, torque))
-        return max(0, min(_TOP, round((bounded + limit) / self.torque_lsb)))
+        self.position, self.velocity, self.torque = (Counts(most, 16) for most in (position, velocity, torque))
 
     def state(self, field: int, data: bytes) -> RobstrideState:
         """Return the values of a feedback. Raises BadReply if it is too short."""
         if len(data) != _STATE.size:
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
         position, velocity, torque, temperature = _STATE.unpack(data)
-        most_position, most_velocity, most_torque = self._ranges
         return RobstrideState(
-            position=math.nan if position in {0, _TOP} else position * self.position_lsb - most_position,
-            velocity=velocity * self.velocity_lsb - most_velocity,
-            torque=torque * self.torque_lsb - most_torque,
+            position=self.position.inside(position),
+            velocity=self.velocity.value(velocity),
+            torque=self.torque.value(torque),
             temperature=0.1 * temperature,
             faults=field >> 8 & 0x3F,
             mode=field >> 14,

@@ -75,7 +75,7 @@ class RobstrideMotor:
 
     def off_frames(self) -> list[can.Message]:
         """Return the frames of zero torque and of stopping."""
-        return [self._operation(self.codec.torque_counts(0.0)), self._frame(wire.STOP)]
+        return [self._operation(self.codec.torque.of(0.0)), self._frame(wire.STOP)]
 
     def restoring(self) -> list[can.Message]:
         """Return the frames that restore the parameters that were changed."""

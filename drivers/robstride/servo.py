@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import Gate
 from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.frames import RESTARTED, RUNNING, STOPPED, WATCHDOG, RobstrideState, fault, models
 from drivers.robstride.motor import RobstrideMotor
-from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -75,7 +76,7 @@ class RobstrideServo:
             if self._config.watchdog:
                 settings.require("canTimeout", self._timeout)
             self._check(motor.enable())
-            if motor.drive(motor.codec.torque_counts(0.0)).mode != RUNNING:
+            if motor.drive(motor.codec.torque.of(0.0)).mode != RUNNING:
                 raise DriverError("the motor refuses to run: switch its power off and on")
 
     def exchange(self, command: Command) -> Sample:
@@ -93,8 +94,7 @@ class RobstrideServo:
             state = self._motor.look() if self._gate.live else self._motor.stop()
         received = self.clock.now()
         self._check(state)
-        if math.isnan(state.position):
-            raise BadReply("the angle is at the end of its range: set the motor's zero near the middle of the travel")
+        require_position(state.position)
         sign = self._config.sign
         return Sample(
             t=sent,
@@ -129,7 +129,7 @@ class RobstrideServo:
     def _torque_off(self, _request: int) -> None:
         self._motor.send_stop()  # before `stop`, which waits for replies that are still due
         if self._motor.stop().mode != STOPPED:
-            self._motor.drive(self._motor.codec.torque_counts(0.0))  # it may still obey that
+            self._motor.drive(self._motor.codec.torque.of(0.0))  # it may still obey that
             raise DriverError("it still runs")
 
     def _describe(self, serial: str, version: tuple[int, ...]) -> ServoInfo:
@@ -141,9 +141,9 @@ class RobstrideServo:
             serial=serial,
             firmware=".".join(map(str, version)),
             quantities=_QUANTITIES,
-            position_lsb=codec.position_lsb,
-            velocity_lsb=codec.velocity_lsb,
-            torque_lsb=codec.torque_lsb * scale,
+            position_lsb=codec.position.lsb,
+            velocity_lsb=codec.velocity.lsb,
+            torque_lsb=codec.torque.lsb * scale,
             torque_uncertainty=model.torque_uncertainty if scale == 1.0 else math.nan,
             watchdog=self._config.watchdog,
             watchdog_remedy="set robstride.watchdog = 0.1",
@@ -153,7 +153,7 @@ class RobstrideServo:
         """Return the counts of `torque` N m, and whether the motor's range clipped it."""
         codec = self._motor.codec
         asked = self._config.sign * torque / self._config.torque_scale
-        return codec.torque_counts(asked), abs(asked) > codec.torque_lsb * 0x7FFF
+        return codec.torque.of(asked), abs(asked) > codec.torque.most
 
     def _check(self, state: RobstrideState) -> None:
         """Raise DeviceFault for a fault, another program's command, and a motor that does not run while armed."""

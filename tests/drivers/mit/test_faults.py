@@ -42,3 +42,6 @@ def test_a_position_at_the_end_of_its_range_is_no_sample(make_mit: Make) -> None
     rig.device._zero = 20.0
     with pytest.raises(BadReply, match="end of its range"):
         servo.exchange(Command.rest())
+    servo.arm(LIMITS)
+    servo.disarm()  # is confirmed all the same
+    assert not rig.motor.enabled

@@ -62,11 +62,11 @@ def test_both_sides_know_the_same_motors() -> None:
 def test_a_command_is_packed_as_the_manual_says() -> None:
     """p 16 bits, v 12, kp 12, kd 12, t 12, high bits first; the middle of a range is 32767.5 or 2047.5 counts."""
     codec = Codec("damiao", 12.5, 30.0, 10.0)
-    assert codec.command(codec.torque_counts(10.0)).hex() == "8000800000000fff"
-    assert codec.command(codec.torque_counts(-10.0)).hex() == "8000800000000000"
-    assert codec.torque_counts(5.0) == round(15.0 / 20.0 * 4095)
-    assert codec.torque_lsb == pytest.approx(4.884e-3, rel=1e-3)
-    assert codec.position_lsb == pytest.approx(0.3815e-3, rel=1e-3)
+    assert codec.command(codec.torque.of(10.0)).hex() == "8000800000000fff"
+    assert codec.command(codec.torque.of(-10.0)).hex() == "8000800000000000"
+    assert codec.torque.of(5.0) == round(15.0 / 20.0 * 4095)
+    assert codec.torque.lsb == pytest.approx(4.884e-3, rel=1e-3)
+    assert codec.position.lsb == pytest.approx(0.3815e-3, rel=1e-3)
 
 
 def test_a_reply_is_unpacked_as_the_manual_says() -> None:
@@ -87,16 +87,16 @@ def test_every_count_of_torque_survives_both_codecs(model: str) -> None:
     device = MitDevice(model)
     device.handle(CanFrame(1, ENTER), 0.0)
     for value in np.linspace(-0.9, 0.9, 7) * spec.torque:
-        device.handle(CanFrame(1, codec.command(codec.torque_counts(float(value)))), 0.0)
-        assert device.motor.demand == pytest.approx(value, abs=0.5001 * codec.torque_lsb)
+        device.handle(CanFrame(1, codec.command(codec.torque.of(float(value)))), 0.0)
+        assert device.motor.demand == pytest.approx(value, abs=0.5001 * codec.torque.lsb)
 
 
 def test_zero_torque_is_half_a_count_since_zero_lies_between_two() -> None:
     codec = Codec("damiao", 12.5, 30.0, 10.0)
     device = MitDevice("dm-j4310")
     device.handle(CanFrame(1, ENTER), 0.0)
-    device.handle(CanFrame(1, codec.command(codec.torque_counts(0.0))), 0.0)
-    assert device.motor.demand == pytest.approx(0.5 * codec.torque_lsb)
+    device.handle(CanFrame(1, codec.command(codec.torque.of(0.0))), 0.0)
+    assert device.motor.demand == pytest.approx(0.5 * codec.torque.lsb)
 
 
 def test_a_scale_of_the_torque_acts_both_ways(make_mit: Make) -> None:
@@ -192,5 +192,5 @@ def test_the_page_on_it_shows_the_counts_that_are_used() -> None:
     page = (Path(__file__).parents[3] / "docs" / "can.md").read_text(encoding="utf-8")
     for name, model in models().items():
         codec = Codec(model.family, model.position, model.velocity, model.torque)
-        row = f"| {name} | {model.velocity:g} | {model.torque:g} | {codec.torque_lsb * 1e3:.3g} mN m "
+        row = f"| {name} | {model.velocity:g} | {model.torque:g} | {codec.torque.lsb * 1e3:.3g} mN m "
         assert row + f"| {model.torque_uncertainty:.0%} |" in page

@@ -281,5 +281,5 @@ def test_the_page_on_it_shows_the_counts_that_are_used() -> None:
     for name, model in models().items():
         codec = Codec(frames.position_range(()), model.velocity, model.torque)
         label = "el05 (EduLite 05)" if name == "el05" else name
-        row = f"| {label} | {model.velocity:g} | {model.torque:g} | {codec.torque_lsb * 1e3:.3g} mN m "
+        row = f"| {label} | {model.velocity:g} | {model.torque:g} | {codec.torque.lsb * 1e3:.3g} mN m "
         assert row + f"| {model.torque_uncertainty:.0%} |" in page
