@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply
+from drivers.uart.adapter import Lateness
 
 if TYPE_CHECKING:
     import can
@@ -55,7 +56,7 @@ class Requests:
         self._link = link
         self._clock = clock
         self.name = name
-        self._timeout = timeout
+        self._late = Lateness(link.name, timeout)
         self._classify = classify
         self._on_cyclic = on_cyclic
         self._due: Counter[Hashable] = Counter()
@@ -79,12 +80,12 @@ class Requests:
         self._due.update(missing)
         for message in frames:
             self._link.send(message)
-        deadline = self._clock.now() + self._timeout
+        begun = self._clock.now()
         got: dict[Hashable, bytes] = {}
         while missing:
-            reply = self._link.receive(deadline)
+            reply = self._link.receive(begun + self._late.wait)
             if reply is None:
-                raise NoReply(f"{self.name} did not answer within {self._timeout * 1e3:.3g} ms")
+                raise NoReply(f"{self.name} did not answer within {self._late.wait * 1e3:.3g} ms")
             kind = self._classify(reply)
             if kind in self._due:
                 self._credit(kind)
@@ -94,6 +95,7 @@ class Requests:
                 got[kind] = bytes(reply.data)
             elif kind is not None:
                 self._unawaited(kind, bytes(reply.data))
+        self._late.note(self._clock.now() - begun)
         return got
 
     def refuse_unrequested(self) -> None:

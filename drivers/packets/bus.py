@@ -88,8 +88,7 @@ class Bus:
         bit/s.
         """
         return NoReply(
-            self._late.remedy
-            or f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
+            f"no servo {self._id} answers on {self._port.port_name} at {self._port.baudrate} baud: check its power, "
             f"the cable, the id and the baud rate (a new servo has id 1 and {factory_rate} baud)"
         )
 

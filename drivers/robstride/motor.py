@@ -47,7 +47,7 @@ class RobstrideMotor:
         )
         self.settings: Settings[str, float] = Settings(self.get, self._put, same=partial(math.isclose, rel_tol=1e-6))
         self.reported = 0
-        self._other_host: int | None = None
+        self._other = ""  # the other program that commands the motor
         self._field = 0  # of the last feedback: mode and faults
         self._index: int | None = None  # of the parameter that is read
         self._refused = False
@@ -104,12 +104,12 @@ class RobstrideMotor:
 
     def forget(self) -> None:
         """Forget the last fault frame and another program's frames: what lasts is reported again."""
-        self.reported, self._other_host = 0, None
+        self.reported, self._other = 0, ""
 
     def check_host(self) -> None:
         """Raise DeviceFault if another program on the bus sent the motor a command, or received its reply."""
-        if self._other_host is not None:
-            words = f"another program (host id {self._other_host}) commands motor {self._config.id} too, so that its"
+        if self._other:
+            words = f"another program ({self._other}) commands motor {self._config.id} too, so that its"
             raise DeviceFault(wire.OTHER_HOST, f"{words} torque is not ours: end that program, or use another bus")
 
     def get(self, name: str) -> float:
@@ -189,14 +189,14 @@ class RobstrideMotor:
         sender, ident, found = field & 0xFF, self._config.id, None
         if kind == wire.FAULT and ident in {sender, to}:
             found = "fault"
-        elif kind in wire.COMMANDS and to == ident:  # those with our id are the guardian's
-            self._other_host = self._other_host if sender == self._config.host_id else sender
+        elif to == ident and (kind in wire.COMMANDS or kind == wire.OPERATE):
+            self._note_other(kind, field)
         elif kind == wire.IDENTITY and (sender, to) == (ident, wire.BROADCAST):
             found = "identity"
         elif sender != ident or kind not in {wire.FEEDBACK, wire.READ}:
             pass
         elif to != self._config.host_id:
-            self._other_host = to
+            self._other = f"host id {to}"
         elif kind == wire.FEEDBACK:
             self._field = field
             found = "version" if bytes(message.data[:3]) == wire.VERSION else "state"
@@ -204,6 +204,13 @@ class RobstrideMotor:
             self._refused = field > 0xFF  # the data of a refusal are zero
             found = "parameter"
         return found
+
+    def _note_other(self, kind: int, field: int) -> None:
+        """Note a command that is not ours. The guardian's have our id, and a torque of zero where there is no id."""
+        if kind == wire.OPERATE and field != self.codec.torque.of(0.0):
+            self._other = "its set-points carry no host id"
+        elif kind != wire.OPERATE and field & 0xFF != self._config.host_id:
+            self._other = f"host id {field & 0xFF}"
 
     def _reported(self, kind: Hashable, data: bytes) -> None:
         if kind == "fault" and len(data) >= 4:

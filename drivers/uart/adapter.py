@@ -6,52 +6,54 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.servo import NoReply
+from drivers.retry import ATTEMPTS
+from drivers.servo import DriverError, NoReply
 
 HELD = 0.02
 """s by which replies may be late before the adapter is known: FTDI's latency timer is 16 ms as delivered."""
 
 
 class Lateness:
-    """How late the replies on one line are, in s beyond their time on the wire.
+    """How late the replies on one line are, in s beyond the time when they were due.
 
-    port: the line's name. timeout: s by which a reply may be late. shortest: s of silence after which a line without a
-    slow adapter has no more bytes. Until a reply was in time, `wait` is longer than `timeout`: so a reply that the
-    adapter holds back is recognised as such, and is not taken for the reply to a later request.
+    name: of the line; its last word is the port. timeout: s by which a reply may be late. shortest: s of silence after
+    which a line without a slow adapter has no more bytes. Until a reply was in time, `wait` is longer than `timeout`:
+    so a reply that the adapter holds back is recognised as such, and is not taken for the reply to a later request.
     """
 
-    def __init__(self, port: str, timeout: float, shortest: float) -> None:
-        self._port, self._timeout, self._shortest = port, timeout, shortest
-        self._late = 0.0
+    def __init__(self, name: str, timeout: float, shortest: float = 0.0) -> None:
+        self._name, self._timeout, self._shortest = name, timeout, shortest
+        self._late_ones = 0
         self._known = False
         self.silence = HELD
         """s without a byte after which no late reply can arrive."""
 
     @property
     def wait(self) -> float:
-        """The s to wait for a reply beyond its time on the wire."""
+        """The s to wait for a reply."""
         return self._timeout if self._known else self._timeout + HELD
 
-    @property
-    def remedy(self) -> str:
-        """What to do if every reply so far was too late, "" if this is not so."""
-        if self._known or not self._late:
-            return ""
-        return (
-            f"the replies on {self._port} come {1e3 * self._late:.3g} ms late, and reply_timeout is "
-            f"{1e3 * self._timeout:.3g} ms: the USB adapter holds them back (FTDI: 16 ms as delivered), or this "
-            "computer is busy; echo 1 | sudo tee /sys/bus/usb-serial/devices/"
-            f"{Path(self._port).resolve().name}/latency_timer, or raise reply_timeout and lower the tick rate"
-        )
-
     def note(self, late: float) -> None:
-        """Note a reply that was `late`. Raises NoReply with the remedy if no reply was in time so far."""
+        """Note a reply that was `late`. As long as none was in time, raises NoReply for a late one, so that it is asked
+        for again, and DriverError with the remedy for the last of `ATTEMPTS`.
+        """
         if self._known:
             return
-        self._late = late
-        if late > self._timeout:
-            raise NoReply(self.remedy)
-        self._known, self.silence = True, self._shortest + max(0.0, late)
+        if late <= self._timeout:
+            self._known, self.silence = True, self._shortest + max(0.0, late)
+            return
+        self._late_ones += 1
+        words = f"the replies on {self._name} come {1e3 * late:.3g} ms late, and reply_timeout is "
+        words += f"{1e3 * self._timeout:.3g} ms: "
+        if self._late_ones < ATTEMPTS:
+            raise NoReply(f"{words}the sample is dropped")
+        port = Path(self._name.split()[-1])
+        timer = f"/sys/bus/usb-serial/devices/{port.resolve().name}/latency_timer"
+        remedy = f"echo 1 | sudo tee {timer}, or " if port.name != str(port) else ""
+        raise DriverError(
+            f"{words}the adapter holds them back (FTDI: 16 ms as delivered), or this computer is busy; {remedy}raise "
+            "reply_timeout and lower the tick rate"
+        )
 
 
 class Echo:

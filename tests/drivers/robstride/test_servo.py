@@ -208,18 +208,24 @@ def test_a_fault_frame_alone_is_a_fault(make_robstride: Make) -> None:
     assert caught.value.code == frames.REPORTED | 512
 
 
-@pytest.mark.parametrize(("kind", "field", "to"), [(3, 0xAA, 1), (4, 0xAA, 1), (18, 0xAA, 1), (2, 1, 0xAA)])
+@pytest.mark.parametrize(
+    ("kind", "field", "to", "words"),
+    [(kind, 0xAA, 1, "host id 170") for kind in (3, 4, 18)]
+    + [(2, 1, 0xAA, "host id 170"), (1, 0x9000, 1, "its set-points carry no host id")],
+)
 def test_a_second_host_is_noticed_by_its_commands_and_by_its_replies(
-    make_robstride: Make, kind: int, field: int, to: int
+    make_robstride: Make, kind: int, field: int, to: int, words: str
 ) -> None:
     rig = make_robstride()
     put(rig, kind, field, to)
-    with pytest.raises(DeviceFault, match=r"another program \(host id 170\) commands motor 1"):
+    with pytest.raises(DeviceFault, match=rf"another program \({words}\) commands motor 1"):
         rig.open()
     servo = rig.open()
     servo.arm(LIMITS)
+    put(rig, 1, frames.Codec(12.5, 33.0, 14.0).torque.of(0.0), 1)  # the guardian's
+    servo.exchange(torque(0.1))
     put(rig, kind, field, to)
-    with pytest.raises(DeviceFault, match="host id 170"):
+    with pytest.raises(DeviceFault, match=words):
         servo.exchange(torque(0.1))
     servo.disarm()
     assert not rig.motor.enabled

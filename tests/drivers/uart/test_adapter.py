@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from drivers.dynamixel.identity import search
-from drivers.servo import Command, Limits, NoReply, Quantity
+from drivers.servo import Command, DriverError, Limits, NoReply, Quantity
 from drivers.uart.adapter import Echo
+from sim_backend.wire.canbus.bus import CanTiming
 from sim_backend.wire.commander.emulator import CommanderTiming
 from sim_backend.wire.faults import DropReplies
 from sim_backend.wire.packets.bus import PacketTiming
@@ -24,7 +25,14 @@ PACKETS: dict[str, tuple[Callable[[], Any], Limits]] = {
 }
 
 
+CAN = {"odrive": rigs.odrive_rig, "mit": rigs.mit_rig, "robstride": rigs.robstride_rig}
+
+
 def rig_with(name: str, **timing: Any) -> tuple[Any, Limits]:
+    if name in CAN:
+        rig = CAN[name]()
+        rig.bus._timing = CanTiming(latency=timing["usb_latency"])
+        return rig, rigs.ODRIVE_LIMITS
     if name == "commander":
         rig, limits = rigs.new_foc(), rigs.SIM_LIMITS
         rig.bus._timing = CommanderTiming(**timing)
@@ -35,10 +43,10 @@ def rig_with(name: str, **timing: Any) -> tuple[Any, Limits]:
     return rig, limits
 
 
-@pytest.mark.parametrize("name", [*PACKETS, "commander"])
+@pytest.mark.parametrize("name", [*PACKETS, *CAN, "commander"])
 def test_replies_that_the_adapter_holds_back_are_recognised_and_a_longer_timeout_reads_them(name: str) -> None:
     rig, limits = rig_with(name, usb_latency=HOLDS)
-    with pytest.raises(NoReply, match=r"1[56][.\d]* ms late, and reply_timeout is 8 ms.*latency_timer"):
+    with pytest.raises(DriverError, match=r"1[56][.\d]* ms late, and reply_timeout is 8 ms.*raise reply_timeout"):
         rig.open()
     servo = rig.open(reply_timeout=0.03)
     servo.arm(limits)
