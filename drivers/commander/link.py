@@ -37,12 +37,18 @@ class CommanderLink:
         self._late = Lateness(name, timeout, _SILENT_FOR)
         self._lines = TextLines()
         self._quarantined = True
+        self._own: list[str] = []
+        self.echoes = False
+        """Whether the board returns each command before its reply."""
         self.repeats = Repeats()
 
     def send(self, *commands: str) -> None:
         """Write each command as a line, without waiting. A line end is sent first, to end a command that was cut
         off.
         """
+        if self.echoes:
+            self._own += commands
+            self._quarantined = True  # the next reply must not be taken for what is returned of these
         self._put("\n" + "".join(f"{command}\n" for command in commands))
 
     def ask(self, command: str, head: str) -> str:
@@ -65,6 +71,7 @@ class CommanderLink:
         self._settle()
         self._quarantined = True  # until the reply arrives, whatever interrupts the wait
         self._begin()
+        self._own = list(commands)
         text = "".join(f"{command}\n" for command in commands)
         self._put(text)
         due = self._clock.now() + 10.0 * (len(text) + _REPLY) / self._baudrate
@@ -136,7 +143,14 @@ class CommanderLink:
             raise link_lost(self.name, error) from None
 
     def _take(self) -> list[str]:
-        return self._lines.feed(self._receive())
+        return [line for line in self._lines.feed(self._receive()) if not (self.echoes and self._is_own(line))]
+
+    def _is_own(self, line: str) -> bool:
+        """Return whether the board returns a command with `line`: of two equal lines only the first is returned."""
+        own = line in self._own
+        if own:
+            del self._own[: self._own.index(line) + 1]
+        return own
 
     def _receive(self) -> bytes:
         """Return the bytes that have arrived. If there are none, wait for a moment first."""

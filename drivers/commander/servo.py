@@ -178,6 +178,7 @@ class CommanderServo:
             self._link.send(f"{m}E0", f"{m}0", f"{m}MC", _MACHINE)  # MC: a stream of lines would hide the reply
             lines = [*lines[-20:], *self._link.listen(_WAKE, _AWAKE)]
             requests += 1
+        self._link.echoes = _MACHINE in lines
         if requests > 1:
             self._link.listen(_WAKE)  # a board that was booting replies to every request
 

@@ -64,6 +64,8 @@ class CommanderDevice:
         self.modern = version >= (2, 4)
         self.motor = PlantMotor(parameters, MotionControl(parameters, clamps=self.modern), self.joint.note)
         self.letter = letter
+        self.echo = False
+        """Whether the board's program sets Commander's `echo`: it returns each character that it receives."""
         self.program_downsample = 0
         """The downsample of the monitor that the board's program sets at its start."""
         self.restart()
@@ -100,13 +102,14 @@ class CommanderDevice:
 
     def type(self, character: str) -> str:
         """Receive one character. Return the text that the board prints in response."""
+        returned = character if self.echo else ""
         self._typed += character
         if self.printer.ends(character):
             command, self._typed = self._typed, ""
             self._run(command)
         if len(self._typed) >= BUFFER:
             self._typed = ""
-        return self.printer.taken()
+        return returned + self.printer.taken()
 
     def forget(self) -> None:
         """Discard the command that is being received."""

@@ -79,6 +79,22 @@ def test_what_the_adapter_returns_of_our_own_is_read_past(name: str, latency: fl
     servo.close()
 
 
+def test_what_a_simplefoc_board_returns_of_our_own_confirms_nothing() -> None:
+    rig, limits = rig_with("commander")
+    rig.bus.device.echo = True
+    servo = rig.open()
+    servo.arm(limits)
+    for value in (1e-3, -2e-3):
+        for _ in range(20):
+            sample = servo.exchange(Command(Quantity.TORQUE, value))
+        assert sample.motor_torque == pytest.approx(value, rel=0.1)
+    rig.bus.garble("ME0", "MX0")  # every one of a request
+    rig.bus.garble("ME0", "MX0")
+    servo.disarm()
+    assert not rig.motor.enabled
+    servo.close()
+
+
 def test_a_search_takes_no_echo_for_a_servo() -> None:
     rig, _ = rig_with("x", echo=True)
     port = rig.port
