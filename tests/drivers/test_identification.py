@@ -28,6 +28,7 @@ FAMILIES = (
     "feetech sts3215, 1 kHz cell",
     "odrive 0.6.10",
     "mit dm-j4310",
+    "robstride rs00",
     "moteus",
     "cia402 epos4",
     "commander",

@@ -15,6 +15,7 @@ from sim_backend.wire.canbus.slcan import slcan_line
 from sim_backend.wire.cia402.device import Cia402Device
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.moteus.device import MoteusDevice
+from sim_backend.wire.robstride.device import RobstrideDevice
 
 CRASHES = """
 import os, signal, sys
@@ -27,6 +28,10 @@ elif sys.argv[1] == "cia402":
     from drivers.cia402.servo import Cia402Servo as Servo
     from drivers.cia402.config import Cia402Config
     config = Cia402Config("slcan", sys.argv[2], "epos4", reply_timeout=0.3, watchdog=1.0)
+elif sys.argv[1] == "robstride":
+    from drivers.robstride.servo import RobstrideServo as Servo
+    from drivers.robstride.config import RobstrideConfig
+    config = RobstrideConfig("slcan", sys.argv[2], "rs00", reply_timeout=0.3, watchdog=1.0)
 else:
     from drivers.mit.servo import MitServo as Servo
     from drivers.mit.config import MitConfig
@@ -39,17 +44,14 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.parametrize(
-    "kind", ["mit", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("moteus", "cia402"))]
+    "kind", ["mit", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("moteus", "cia402", "robstride"))]
 )
 def test_a_killed_program_leaves_no_torque_once_the_watchdog_has_run_out(tmp_path: Path, kind: str) -> None:
     bus = CanBus([])
     with slcan_line(tmp_path / "ttyCAN", bus) as line:
         now = line.now()
-        device: Any
-        if kind == "moteus":
-            device = MoteusDevice(now=now)
-        else:
-            device = Cia402Device(now=now) if kind == "cia402" else MitDevice("dm-j4310", now=now)
+        makers: dict[str, Any] = {"moteus": MoteusDevice, "cia402": Cia402Device, "robstride": RobstrideDevice}
+        device = makers[kind](now=now) if kind in makers else MitDevice("dm-j4310", now=now)
         bus.nodes.append(device)
         root = Path(__file__).parents[3]
         command = [sys.executable, "-c", CRASHES, kind, str(line.link)]

@@ -15,7 +15,16 @@ from hil.errors import WrongUse
 from hil.stand.file import parse
 from hil.stand.opening import require_watchdog
 
-from ...drivers.conftest import cia402_rig, mit_rig, moteus_rig, new_foc, new_rig, nothing_is_left_behind, odrive_rig
+from ...drivers.conftest import (
+    cia402_rig,
+    mit_rig,
+    moteus_rig,
+    new_foc,
+    new_rig,
+    nothing_is_left_behind,
+    odrive_rig,
+    robstride_rig,
+)
 from ..conftest import Hil, SpringServo
 
 __all__ = ["nothing_is_left_behind"]
@@ -44,6 +53,8 @@ velocity = 50.0
         (lambda: mit_rig("ak80-9"), {}, False, "accept this with"),
         (lambda: mit_rig("dm-j4310"), {}, True, ""),
         (lambda: mit_rig("dm-j4310"), {"watchdog": 0.0}, False, "set mit.watchdog = 0.1"),
+        (robstride_rig, {}, True, ""),
+        (robstride_rig, {"watchdog": 0.0}, False, "set robstride.watchdog = 0.1"),
         (moteus_rig, {}, True, ""),
         (cia402_rig, {}, True, ""),
         (cia402_rig, {"watchdog": 0.0}, False, "set cia402.watchdog = 0.1"),
