@@ -24,7 +24,7 @@ from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
 from hil.report import identification_json, identification_page
-from hil.report.pictures import files, result
+from hil.report.pictures import canvas, files, result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,7 +170,7 @@ class ComparisonResult:
         """Return a figure: each parameter over the recordings with its interval, and the interval of all recordings
         together.
         """
-        return comparison_report.figure(self.comparison)
+        return canvas.drawn(comparison_report.chart(self.comparison))
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. Raises WrongUse.

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hil.campaign.plan import Plan
 from hil.campaign.results import PARAMETERS, Line, Outlier, Results, Value
 from hil.diagnostics import Diagnostic
+from hil.report.chart import Chart, Panel, with_intervals
 from hil.report.formatting import people_unit, rounded
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.provenance import provenance
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _CHANCE = 0.05
 
@@ -150,7 +148,7 @@ def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Pat
         verdict=(verdict(found),),
         diagnostics=diagnostics(found),
         sections=[Section("The hand, with 95 % intervals", rows), Section("Every recording", _recordings(found))],
-        pictures=[Picture("hand", "Kc and Bc of each joint", text, lambda: figure(found))] if done else [],
+        pictures=[Picture("hand", "Kc and Bc of each joint", text, lambda: chart(found))] if done else [],
         provenance=provenance(done[:1], command),
         table=as_json(plan, found),
         failed=not done,
@@ -168,20 +166,17 @@ def _recordings(found: Results) -> list[list[str]]:
     return rows
 
 
-def figure(found: Results) -> Figure:
-    """Return a figure: Kc and Bc of every line with their intervals; the outliers are marked."""
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(9, 6), layout="constrained")
-    panels = drawn.subplots(len(PARAMETERS), 1, sharex=True)
-    for panel, name in zip(panels, PARAMETERS, strict=True):
+def chart(found: Results) -> Chart:
+    """Return Kc and Bc of every line with their intervals; the outliers are in another colour."""
+    panels = []
+    for name in PARAMETERS:
         factor, unit = people_unit(_units(found)[name], milli=_milli(found))
+        points: dict[bool, list[tuple[float, float, float]]] = {False: [], True: []}
         for at, line in enumerate(found.lines):
             if (value := line.values.get(name)) is not None:
                 half = 0.5 * (value.ci95[1] - value.ci95[0]) * factor
-                colour = "C3" if name in line.stands_out else "C0"
-                panel.errorbar([at], [value.value * factor], [half], fmt="o", capsize=4, color=colour)
-        panel.set(ylabel=f"{name} [{unit}]")
-        panel.grid(visible=True, lw=0.3)
-    panels[-1].set_xticks(range(len(found.lines)), [line.name for line in found.lines], rotation=60, ha="right")
-    return drawn
+                points[name in line.stands_out].append((at, value.value * factor, half))
+        lines = [with_intervals(points[False]), with_intervals(points[True], "outlier", "error")]
+        names = [line.name for line in found.lines]
+        panels.append(Panel("", f"{name} [{unit}]", lines if points[True] else lines[:1], names=names))
+    return Chart(panels)

@@ -20,7 +20,7 @@ EXAMPLES = MappingProxyType(
         ),
         "compare": ("hil compare monday.h5 tuesday.h5 friday.h5 --report week.html",),
         "report": ("hil report monday.h5 tuesday.h5 friday.h5 -o week.html",),
-        "inspect": ("hil inspect run1.h5 --plot run1.png",),
+        "inspect": ("hil inspect run1.h5",),
         "view": ("hil view run1.h5", "hil view run1.h5 -o run1.rrd"),
         "import": (
             "hil import log.csv --time time_s --torque tau --torque-unit mN*m --dtheta q --dtheta-unit deg -o log.h5",

@@ -75,6 +75,7 @@ def identify(
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.first_run import compiled_ahead
+    from hil.report.pictures.canvas import check_matplotlib
 
     del list_models  # is done before anything else is asked for
     required = _required(require)
@@ -87,6 +88,8 @@ def identify(
         identify_each(recordings, model, common, required, as_json=as_json)
         return
     options.check_report(report, recordings, force=force)
+    if plot is not None:
+        check_matplotlib()
     with compiled_ahead():  # before what takes most of the start: the modules of the identification
         from hil.api.analysis import identify as identify_recordings
 

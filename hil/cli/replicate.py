@@ -27,7 +27,7 @@ def replicate(
     """
     from hil.identification.replicate import replicate as run_replication
     from hil.report.replication import as_json as to_json
-    from hil.report.replication import replication_lines, write_convergence
+    from hil.report.replication import replication_lines, write_page
 
     saved = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
     with progress() as show:
@@ -44,8 +44,8 @@ def replicate(
     if checkpoint is None and not interrupted:
         saved.unlink(missing_ok=True)
     recording = done.identification.recordings[0]
-    picture = recording.with_suffix(".png")
-    write_convergence(done, picture)
+    page = recording.with_suffix(".html")
+    write_page(done, page)
     if as_json:
         print_json(to_json(done))
     else:
@@ -55,7 +55,7 @@ def replicate(
             f"{done.identification.trials.made:.3g} evaluations in {done.identification.search_seconds:.1f} s: "
             f"{done.evaluations_per_second:.3g} per second, {done.ratio_to_numpy:.0f} times NumPy on one core"
         )
-    note(f"wrote {recording} and {picture} (Figure 8)")
+    note(f"wrote {recording} and {page} (Figure 8)")
     print_diagnostics(done.identification.diagnostics)
     if interrupted:
         exit_interrupted(saved)

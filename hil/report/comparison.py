@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
+from hil.report.chart import Band, Chart, Panel, with_intervals
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
 SCHEMA = "hil-comparison/2"
@@ -115,7 +115,7 @@ def write_page(found: Comparison, path: Path, command: str = "", *, force: bool)
         verdict=verdicts,
         diagnostics=found.diagnostics,
         sections=[Section("Each recording on its own", rows)],
-        pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: figure(found))],
+        pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: chart(found))],
         provenance=provenance(paths, command),
         table=as_json(found),
     )
@@ -145,29 +145,19 @@ def _together(found: Comparison, one: Repeated) -> list[str]:
     return [value, f"{first} to {last}", *components, slope]
 
 
-def figure(found: Comparison) -> Figure:
-    """Return a figure: each parameter over the recordings with its interval, and the pooled interval as a
-    background.
-    """
-    from matplotlib.figure import Figure
-
-    drawn = Figure(figsize=(8, 6), layout="constrained")
-    panels = drawn.subplots(len(COMPARED), 1, sharex=True)
-    for panel, parameter in zip(panels, found.parameters, strict=True):
+def chart(found: Comparison) -> Chart:
+    """Return each parameter over the recordings with its interval, and the pooled interval as a background."""
+    panels = []
+    for parameter in found.parameters:
         factor, unit = _scale(found, parameter.unit)
         shown = [
             (index, one.estimates[parameter.name])
             for index, one in enumerate(found.recordings)
             if parameter.name in one.identifiable
         ]
-        halves = [estimate.half_width * factor for _, estimate in shown]
-        values = [estimate.value * factor for _, estimate in shown]
-        panel.errorbar([index for index, _ in shown], values, halves, fmt="o", capsize=4)
-        if parameter.pooled is not None:
-            low, high = (end * factor for end in parameter.pooled.ci95)
-            panel.axhspan(low, high, color="C1", alpha=0.2, label="pooled, 95 %")
-            panel.legend(loc="best")
-        panel.set(ylabel=f"{parameter.name} [{unit}]")
-        panel.grid(visible=True, lw=0.3)
-    panels[-1].set_xticks(range(len(found.recordings)), [one.path.stem for one in found.recordings], rotation=30)
-    return drawn
+        line = with_intervals([(index, one.value * factor, one.half_width * factor) for index, one in shown])
+        low, high = parameter.pooled.ci95 if parameter.pooled else (math.nan, math.nan)
+        bands = [Band(low * factor, high * factor, "pooled, 95 %")] if parameter.pooled else []
+        names = [one.path.stem for one in found.recordings]
+        panels.append(Panel("", f"{parameter.name} [{unit}]", [line], names=names, bands=bands))
+    return Chart(panels)

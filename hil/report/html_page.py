@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import io
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ga.collector import uncollected
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.recording.output import atomic_write
 from hil.report.chart import Chart, library
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
-
-_INK = "#010203"  # stands for the colour of the page's text, which is another in the dark
-_INLINE: dict[Any, Any] = {
-    "svg.fonttype": "none",  # text stays text: it can be searched, and takes the page's colour
-    "svg.hashsalt": "hil",
-    "font.size": 11,
-    "grid.color": "#808080",  # between the colours of the papers, light and dark
-    "grid.alpha": 0.6,
-    **dict.fromkeys(("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color"), _INK),
-    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "legend.facecolor"), "none"),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +31,15 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A figure in a page.
+    """A chart in a page.
 
-    alt: a sentence with the figure's numbers, for readers who cannot see the figure. draw: function that returns the
-    figure. chart: shown instead of the figure on a screen, if the page's script runs.
+    alt: a sentence with the chart's numbers, for readers who cannot see it. chart: function that returns the chart.
     """
 
     name: str
     heading: str
     alt: str
-    draw: Callable[[], Figure]
-    chart: Chart | None = None
+    chart: Callable[[], Chart]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +48,7 @@ class Page:
 
     title: name of the recording, and result. verdict: lines with the answer. failed: whether there is no result.
     sections: the first is above the pictures, the others are below. provenance: pairs of a name and a text. table: the
-    command's JSON object.
+    command's JSON object. on_first_page: number of pictures that are shown at once; the others are folded.
     """
 
     title: str
@@ -77,6 +60,7 @@ class Page:
     provenance: Sequence[tuple[str, str]]
     table: Mapping[str, Any]
     failed: bool = False
+    on_first_page: int = 2
 
     @property
     def state(self) -> str:
@@ -101,35 +85,13 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
     check_page_name(path)
     source = resources.files("hil.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     template = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    with uncollected():
-        drawn = [(one, Markup(svg(one))) for one in page.pictures]  # noqa: S704 - ours, which escapes its texts
     embedded = Markup(_embedded(page.table))  # noqa: S704 - escaped for a script element
-    charts = {one.name: Markup(one.chart.as_json()) for one in page.pictures if one.chart}  # noqa: S704 - escaped too
+    charts = [(one, Markup(one.chart().as_json())) for one in page.pictures]  # noqa: S704 - escaped too
     parts = {name: Markup(part) for name, part in library().items()} if charts else {}  # noqa: S704 - of this package
-    text = template.from_string(source).render(page=page, pictures=drawn, json=embedded, charts=charts, library=parts)
+    text = template.from_string(source).render(page=page, pictures=charts, json=embedded, library=parts)
     with atomic_write(path, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
-
-
-def svg(picture: Picture) -> str:
-    """Return a picture as an SVG element for a page with several pictures, in the colours of the page."""
-    from matplotlib import rc_context
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    buffer = io.StringIO()
-    with rc_context(_INLINE):
-        # savefig would draw it twice, once for the layout alone
-        FigureCanvasSVG(picture.draw()).print_svg(buffer)  # type: ignore[no-untyped-call]
-    text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
-    text = re.sub(r' (?:width|height)="[\d.]+pt"', "", text, count=2)
-    # a tenth of a point is finer than a screen, and half as long to write
-    text = re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\.\d)\d+", r"\1", path[0]), text)
-    text = re.sub(r' id="image\w+"', "", text)  # the scales of two panels are the same image, and nothing refers to it
-    for mark in (' id="', "url(#", 'href="#'):  # names are unique in a page, not only in a picture
-        text = text.replace(mark, f"{mark}{picture.name}-")
-    return text.replace(_INK, "currentColor")
 
 
 def table_rows(table: Table) -> list[list[str]]:

@@ -23,7 +23,7 @@ from hil.report.identification import (
 )
 from hil.report.identification_json import as_json
 from hil.report.lack_of_fit import distortion_lines
-from hil.report.pictures.recording import recording_figure
+from hil.report.pictures.recording import recording_chart
 from hil.report.pictures.result import pictures
 from hil.report.provenance import provenance
 
@@ -96,5 +96,5 @@ def _seen(at: int, path: Path) -> list[Picture]:
         channels = {name: recording.channel(name) for name in ("time", "command", "torque", "dtheta")}
         units = units_of(recording.profile.get("mode", "torque"))
         text = f"Command, torque and deflection of {path} over {len(recording)} samples, and torque over deflection."
-        return [Picture(f"recording{at}", "The recording", text, lambda: recording_figure(channels, units))]
+        return [Picture(f"recording{at}", "The recording", text, lambda: recording_chart(channels, units))]
     return []

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
+from hil.report.chart import Chart, Panel, with_intervals
 from hil.report.formatting import people_unit, rounded
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.identification import headline, milli
@@ -16,8 +17,6 @@ from hil.report.pictures.result import fit_pictures
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from hil.identification.result import Estimate, Identification
 
 PARAMETERS = ("Kc", "Bc")
@@ -66,7 +65,7 @@ def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force
     )
     if len(good) > 1:
         text = "; ".join(f"{row[0]}: Kc {row[1]}, Bc {row[2]}" for row in table(good)[1:])
-        together = Picture("together", "Kc and Bc of each recording", text, lambda: _figure(good))
+        together = Picture("together", "Kc and Bc of each recording", text, lambda: _chart(good))
         page = replace(page, pictures=[together, *page.pictures])
     return write(page, path, force=force)
 
@@ -117,33 +116,24 @@ def _diagnostics(entries: Sequence[Entry]) -> list[Diagnostic]:
 
 
 def _pictures(at: int, entry: Entry) -> list[Picture]:
-    """Return the first pictures of a recording, without charts: charts of many recordings would make the page too
-    large.
-    """
+    """Return the first pictures of a recording."""
     if entry.found is None:
         return []
     title = f"{entry.path.name}: {headline(entry.found)}"
     return [
-        replace(one, name=f"r{at}-{one.name}", heading=f"{title}. {one.heading}", chart=None)
-        for one in fit_pictures(entry.found)
+        replace(one, name=f"r{at}-{one.name}", heading=f"{title}. {one.heading}") for one in fit_pictures(entry.found)
     ]
 
 
-def _figure(entries: Sequence[Entry]) -> Figure:
-    """Return a figure of Kc and Bc over the recordings, with their intervals."""
-    from matplotlib.figure import Figure
-
+def _chart(entries: Sequence[Entry]) -> Chart:
+    """Return Kc and Bc over the recordings, with their intervals."""
     factor, units = _units(entries)
-    drawn = Figure(figsize=(10, 5), layout="constrained")
-    for axes, name, unit in zip(drawn.subplots(2, 1, sharex=True), PARAMETERS, units, strict=True):
+    panels = []
+    for name, unit in zip(PARAMETERS, units, strict=True):
         shown = [(at, one) for at, entry in enumerate(entries) if (one := entry.estimate(name)) is not None]
-        places, values = [at for at, _ in shown], [one.value * factor for _, one in shown]
-        halves = [one.half_width * factor for _, one in shown]
-        axes.errorbar(places, values, yerr=halves, fmt="o", capsize=3)
-        axes.set_ylabel(f"{name} [{unit}]")
-        axes.grid(visible=True, lw=0.3)
-    axes.set_xticks(range(len(entries)), [entry.path.stem.replace("$", r"\$") for entry in entries], rotation=45)
-    return drawn
+        line = with_intervals([(at, one.value * factor, one.half_width * factor) for at, one in shown])
+        panels.append(Panel("", f"{name} [{unit}]", [line], names=[entry.path.stem for entry in entries]))
+    return Chart(panels)
 
 
 def _json(entry: Entry) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from hil.identification.replicate import PAPER
 from hil.report.formatting import diagnostics_json, json_number
-from hil.report.pictures.canvas import canvas
-from hil.report.pictures.files import save_picture
-from hil.report.pictures.search import draw_convergence
+from hil.report.html_page import Page, Picture, Section, write
+from hil.report.pictures.search import convergence_chart, convergence_text
+from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
     from hil.identification.replicate import Replication
@@ -59,30 +59,47 @@ def _parameter(done: Replication, estimate: Estimate) -> dict[str, Any]:
 
 def replication_lines(done: Replication) -> list[str]:
     """Return Table 1 beside the paper's Table 1, in mN m; each row of the table is one line."""
+    return [f"{name:36}{first:>20}{second:>22}" for name, first, second in _rows(done)]
+
+
+def _rows(done: Replication) -> list[tuple[str, str, str]]:
     kc, bc = done.identification.estimates
-    trials = [_mean(one.optimiser.mean, one.optimiser.std) for one in (kc, bc)]
-    rows = [
+    kc_trials, bc_trials = (_mean(one.optimiser.mean, one.optimiser.std) for one in (kc, bc))
+    return [
         ("", "Kc [mN m/rad]", "Bc [mN m s/rad]"),
         ("real parameters (simulated stand)", f"{done.truth['Kc'] * 1e3:.2f}", f"{done.truth['Bc'] * 1e3:.3f}"),
         ("best of the trials", f"{kc.optimiser.best * 1e3:.4f}", f"{bc.optimiser.best * 1e3:.5f}"),
-        ("trials, mean ± std", *trials),
-        ("the paper's, mean ± std", *(_mean(*PAPER[name]) for name in ("Kc", "Bc"))),
+        ("trials, mean ± std", kc_trials, bc_trials),
+        ("the paper's, mean ± std", _mean(*PAPER["Kc"]), _mean(*PAPER["Bc"])),
         ("exact optimum of these data", f"{kc.value * 1e3:.4f}", f"{bc.value * 1e3:.5f}"),
     ]
-    return [f"{name:36}{first:>20}{second:>22}" for name, first, second in rows]
 
 
 def _mean(mean: float, std: float) -> str:
     return f"{mean * 1e3:.4g} ± {std * 1e3:.2g}"
 
 
-def write_convergence(done: Replication, path: Path) -> None:
-    """Write Figure 8 as a PNG file: the best fitness of every trial over the generations, and the exact optimum.
+def write_page(done: Replication, path: Path) -> None:
+    """Write Table 1 and Figure 8 as an HTML page: the best fitness of every trial over the generations.
 
     Raises WrongUse if the file cannot be written.
     """
     found = done.identification
-    figure, panels = canvas(1, 2, (9, 4.5))
-    draw_convergence(found.trials, found.optimum, panels, 1e3, "mN m")
-    panels[0].set(title="Figure 8")
-    save_picture(figure, path, force=True)
+    page = Page(
+        title="The paper's experiment, repeated",
+        subject=f"Identification of {found.recordings[0]} by the paper's genetic algorithm",
+        verdict=[f"Trials, mean ± std: Kc {_rows(done)[3][1]} mN m/rad, Bc {_rows(done)[3][2]} mN m s/rad"],
+        diagnostics=found.diagnostics,
+        sections=[Section("Table 1", _rows(done))],
+        pictures=[
+            Picture(
+                "convergence",
+                "Figure 8",
+                convergence_text(found),
+                lambda: convergence_chart(found.trials, found.optimum, 1e3, "mN m"),
+            )
+        ],
+        provenance=provenance(found.recordings, "hil replicate"),
+        table=as_json(done),
+    )
+    write(page, path, force=True)

@@ -1,4 +1,4 @@
-"""Figures of what the model does not explain: the residuals compared with white noise, and the dynamic stiffness
+"""Pictures of what the model does not explain: the residuals compared with white noise, and the dynamic stiffness
 without a model.
 """
 
@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.report.chart import Band, Chart, Heat, Line, Panel
 from hil.report.formatting import people_unit
 from hil.report.identification import milli
-from hil.report.pictures.canvas import canvas, plain_ticks
 from hil.report.pictures.traces import modelled
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from hil.identification.result import Identification
     from hil.uncertainty.dynamic_stiffness import DynamicStiffness
     from hil.uncertainty.misfit import LackOfFit
@@ -27,20 +24,22 @@ Array = NDArray[np.float64]
 
 _SEGMENT = 1024  # samples of the residuals in a spectrum, at most
 _LAGS = 200
+_COLOURS = ("first", "error", "good", "ink", "soft")
 
 
-def residuals_drawn(found: Identification) -> Figure:
-    """Return a figure of the residuals' spectrum and autocorrelation, each with the bounds that contain 95 % of white
-    noise.
-    """
+def residuals_chart(found: Identification) -> Chart:
+    """Return the residuals' spectrum and autocorrelation, each with the bounds that contain 95 % of white noise."""
     _, unit = people_unit("N*m", milli=milli(found))
     values, rate = _residuals(found)
-    drawn, (spectrum, correlation) = canvas(1, 2, (9, 3.6))
-    _draw_spectrum(values, rate, spectrum)
-    spectrum.set(xlabel="frequency [Hz]", ylabel=f"power of the residuals [({unit})²/Hz]")
-    _draw_autocorrelation(values, rate, correlation)
-    plain_ticks(spectrum)
-    return drawn
+    lags, alike = _autocorrelation(values)
+    bound = _bound(values)
+    correlation = Panel(
+        "lag [ms]",
+        "autocorrelation of the residuals",
+        [Line("", lags / rate * 1e3, alike)],
+        bands=[Band(-bound, bound, "95 % of white noise")],
+    )
+    return Chart([spectrum_panel(values, rate, unit), correlation], columns=2)
 
 
 def residuals_text(found: Identification) -> str:
@@ -66,24 +65,26 @@ def _residuals(found: Identification) -> tuple[Array, float]:
     return values - values.mean(), 1.0 / float(np.median(np.diff(found.signals.motion.time)))
 
 
-def _draw_spectrum(values: Array, rate: float, panel: Axes) -> None:
-    from matplotlib.mlab import psd  # scipy.signal would cost a second to import
+def spectrum_panel(values: Array, rate: float, unit: str) -> Panel:
+    """Return the power of the residuals over frequency by Welch's method, Hann windows that overlap by half."""
     from scipy.special import gammaincinv
 
-    segment = min(len(values) // 4, _SEGMENT)
-    power, frequency = map(np.asarray, psd(values, segment, rate, detrend="mean", window=np.hanning(segment + 1)[:-1]))
-    panel.loglog(frequency[1:], power[1:], lw=0.8)
+    segment = max(2, min(len(values) // 4, _SEGMENT))
+    window = np.hanning(segment + 1)[:-1]
+    pieces = np.lib.stride_tricks.sliding_window_view(values, segment)[:: max(1, segment // 2)]
+    pieces = pieces - pieces.mean(axis=1, keepdims=True)
+    power = 2.0 * np.mean(np.abs(np.fft.rfft(window * pieces)) ** 2, axis=0) / (rate * np.sum(window**2))
+    frequency = np.fft.rfftfreq(segment, 1.0 / rate)
     count = len(values) // segment  # chi-squared with two degrees of freedom a segment
-    level = 2.0 * float(values.var()) / rate
-    panel.axhspan(*(level * gammaincinv(count, (0.025, 0.975)) / count), color="0.5", alpha=0.3, lw=0)
-
-
-def _draw_autocorrelation(values: Array, rate: float, panel: Axes) -> None:
-    lags, alike = _autocorrelation(values)
-    panel.plot(lags / rate * 1e3, alike, lw=0.8)
-    bound = _bound(values)
-    panel.axhspan(-bound, bound, color="0.5", alpha=0.3, lw=0)
-    panel.set(xlabel="lag [ms]", ylabel="autocorrelation of the residuals")
+    low, high = 2.0 * float(values.var()) / rate * gammaincinv(count, (0.025, 0.975)) / count
+    return Panel(
+        "frequency [Hz]",
+        f"power of the residuals [({unit})²/Hz]",
+        [Line("", np.asarray(frequency[1:], np.float64), power[1:])],
+        x_scale="log",
+        scale="log",
+        bands=[Band(low, high, "95 % of white noise")],
+    )
 
 
 def _autocorrelation(values: Array) -> tuple[Array, Array]:
@@ -99,72 +100,66 @@ def _bound(values: Array) -> float:
     return 1.96 / math.sqrt(len(values))
 
 
-def lack_of_fit_drawn(found: Identification) -> Figure:
-    """Return a figure of the residuals: their correlation with the earlier motion, and their mean over deflection and
-    rate.
-    """
-    drawn, (correlation, plane) = canvas(1, 2, (9, 3.6))
-    plane.grid(visible=False)
+def lack_of_fit_chart(found: Identification, misfit: LackOfFit) -> Chart:
+    """Return the residuals' correlation with the earlier motion, and their mean over deflection and rate."""
     factor, unit = people_unit("N*m", milli=milli(found))
-    draw_correlation(found.lack_of_fit, correlation)
-    draw_plane(found.lack_of_fit, plane, factor, unit)
-    return drawn
+    return Chart([correlation_panel(misfit), plane_panel(misfit, factor, unit)], columns=2)
 
 
-def draw_correlation(found: LackOfFit | None, panel: Axes) -> None:
-    """Draw the correlation of the residuals with the earlier deflection and rate, and the bound expected by chance."""
-    if found is None:
-        panel.set_axis_off()
-        return
-    for values, name in zip(found.correlation.T, ("deflection", "rate"), strict=True):
-        panel.plot(found.lags * 1e3, values, lw=0.8, label=name)
+def correlation_panel(found: LackOfFit) -> Panel:
+    """Return the correlation of the residuals with the earlier deflection and rate, and the bound expected by
+    chance.
+    """
+    names = (("deflection", "first"), ("rate", "error"))
     chance = 1.96 / math.sqrt(found.samples)
-    panel.axhspan(-chance, chance, color="0.5", alpha=0.3, lw=0)
-    panel.set(xlabel="lag [ms]", title=f"residuals with the motion: {'misfit' if found.misfit else 'no misfit'}")
-    panel.legend()
+    lags = found.lags * 1e3
+    return Panel(
+        "lag [ms]",
+        "correlation",
+        [Line(name, lags, values, colour) for values, (name, colour) in zip(found.correlation.T, names, strict=True)],
+        title=f"residuals with the motion: {'misfit' if found.misfit else 'no misfit'}",
+        bands=[Band(-chance, chance)],
+    )
 
 
-def draw_plane(found: LackOfFit | None, panel: Axes, factor: float, unit: str) -> None:
-    """Draw the mean residual over the plane of deflection and rate. factor, unit: from SI to the printed unit of
+def plane_panel(found: LackOfFit, factor: float, unit: str) -> Panel:
+    """Return the mean residual over the plane of deflection and rate. factor, unit: from SI to the printed unit of
     torque.
     """
-    if found is None:
-        panel.set_axis_off()
-        return
-    values = factor * found.plane
-    limit = float(np.nanmax(np.abs(values))) or 1.0
-    image = panel.imshow(values, origin="lower", cmap="RdBu", vmin=-limit, vmax=limit, extent=(0, 1, 0, 1))
-    panel.figure.colorbar(image, ax=panel, label=f"mean residual [{unit}]")
-    panel.set(xlabel="quantile of the rate", ylabel="quantile of the deflection")
+    heat = Heat(factor * found.plane, (0.0, 1.0, 0.0, 1.0), f"mean residual [{unit}]", two_sided=True)
+    return Panel("quantile of the rate", "quantile of the deflection", heat=heat)
 
 
-def dynamic_stiffness_drawn(found: Identification) -> Figure:
-    """Return a figure of stiffness K'(f), damping B'(f) and coherence over frequency."""
-    drawn, panels = canvas(1, 3, (9, 3.6))
+def dynamic_stiffness_chart(found: Identification, dynamic: DynamicStiffness) -> Chart:
+    """Return stiffness K'(f), damping B'(f) and coherence over frequency."""
     factor, unit = people_unit("N*m", milli=milli(found))
-    draw_stiffness(found.dynamic_stiffness, panels[0], factor, f"{unit}/rad")
-    dynamic = found.dynamic_stiffness
-    if dynamic is None:
-        return drawn
-    for name, bands in dynamic.groups:
+    damping, coherence = list[Line](), list[Line]()
+    for (_, bands), colour in zip(dynamic.groups, _COLOURS * len(dynamic.groups), strict=False):
         half = factor * np.nan_to_num(bands.damping_half_width, posinf=0.0)
-        panels[1].errorbar(bands.frequency, factor * bands.damping, half, fmt=".-", lw=0.8, capsize=2, label=name)
-        panels[2].plot(bands.frequency, bands.coherence, ".-", lw=0.8)
-    panels[1].set(xscale="log", xlabel="frequency [Hz]", ylabel=f"B' [{unit} s/rad]", title="damping")
-    panels[2].set(xscale="log", xlabel="frequency [Hz]", ylim=(None, 1.0), title="coherence")
-    panels[0].set(title="stiffness")
-    plain_ticks(*panels)
-    return drawn
+        damping += _with_intervals("", bands.frequency, factor * bands.damping, half, colour)
+        coherence.append(Line("", bands.frequency, bands.coherence, colour))
+    return Chart(
+        [
+            stiffness_panel(dynamic, factor, f"{unit}/rad", "stiffness"),
+            Panel("frequency [Hz]", f"B' [{unit} s/rad]", damping, title="damping", x_scale="log"),
+            Panel("frequency [Hz]", "coherence", coherence, title="coherence", x_scale="log"),
+        ],
+        columns=3,
+    )
 
 
-def draw_stiffness(found: DynamicStiffness | None, panel: Axes, factor: float, unit: str) -> None:
-    """Draw stiffness K'(f) with its intervals. factor, unit: from SI to the printed unit of stiffness."""
-    if found is None:
-        panel.set_axis_off()
-        return
-    for name, bands in found.groups:
+def stiffness_panel(
+    found: DynamicStiffness, factor: float, unit: str, title: str = "stiffness without a model"
+) -> Panel:
+    """Return stiffness K'(f) with its intervals. factor, unit: from SI to the printed unit of stiffness."""
+    lines: list[Line] = []
+    for (name, bands), colour in zip(found.groups, _COLOURS * len(found.groups), strict=False):
         half = factor * np.nan_to_num(bands.stiffness_half_width, posinf=0.0)
-        panel.errorbar(bands.frequency, factor * bands.stiffness, half, fmt=".-", lw=0.8, capsize=2, label=name)
-    panel.set(xscale="log", xlabel="frequency [Hz]", ylabel=f"K' [{unit}]", title="stiffness without a model")
-    if found.by_amplitude:
-        panel.legend(title="deflection")
+        shown = f"deflection {name}" if found.by_amplitude else ""
+        lines += _with_intervals(shown, bands.frequency, factor * bands.stiffness, half, colour)
+    return Panel("frequency [Hz]", f"K' [{unit}]", lines, title=title, x_scale="log")
+
+
+def _with_intervals(name: str, x: Array, y: Array, half: Array, colour: str) -> list[Line]:
+    """Return a line and its points with intervals of half width `half`."""
+    return [Line(name, x, y, colour), Line("", x, y, colour, mark="dot", ends=np.array([y - half, y + half]))]

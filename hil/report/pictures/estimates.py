@@ -1,38 +1,33 @@
-"""Figures of the parameters' intervals, and of the terms that model selection tried."""
+"""Pictures of the parameters' intervals, and of the terms that model selection tried."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hil.report.chart import Band, Chart, Line, Panel
 from hil.report.formatting import people_unit
 from hil.report.identification import milli, printed
-from hil.report.pictures.canvas import canvas, literal, plain_ticks
 from hil.units import with_unit
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from hil.identification.result import Estimate, Identification
     from hil.identification.selection.stepwise import Step
 
-_LINEAR = 10.0  # gains up to which their axis is linear: others are thousands of times as large
+Array = NDArray[np.float64]
 
 
-def intervals_drawn(found: Identification) -> Figure:
-    """Return a figure of the 95 % interval of each parameter, in percent of the parameter's value."""
+def intervals_chart(found: Identification) -> Chart:
+    """Return the 95 % interval of each parameter, in percent of the parameter's value."""
     known = _known(found)
-    drawn, (panel,) = canvas(1, 1, (9, 0.9 + 0.45 * max(len(known), 1)))
-    for at, estimate in enumerate(known):
-        low, high = (100.0 * (end / estimate.value - 1.0) for end in estimate.ci95)
-        panel.plot(sorted((low, high)), (at, at), "|-", lw=2, ms=12, mew=2, color="C0")
-        panel.plot(0.0, at, "o", ms=5, color="C0")
-    panel.set_yticks(range(len(known)), [literal(estimate.name) for estimate in known])
-    panel.set(xlabel="95 % interval, % of the value", ylim=(len(known) - 0.5, -0.5))
-    return drawn
+    places = np.arange(float(len(known)))
+    ends = np.array([sorted(100.0 * (end / one.value - 1.0) for end in one.ci95) for one in known]).reshape(-1, 2).T
+    line = Line("", places, 0.0 * places, mark="dot", ends=ends)
+    return Chart([Panel("", "95 % interval [%]", [line], names=[one.name for one in known])])
 
 
 def intervals_text(found: Identification) -> str:
@@ -49,53 +44,35 @@ def _known(found: Identification) -> list[Estimate]:
     return [one for one in found.estimates if np.isfinite(one.ci95).all() and one.value != 0.0]
 
 
-def selection_drawn(found: Identification) -> Figure:
-    """Return a figure: for each term that was tried, the improvement of the score, and Kc and Bc with this term.
+def selection_chart(found: Identification) -> Chart:
+    """Return, for each term that was tried, the improvement of the score, and Kc and Bc with this term.
 
     The interval of the final result is drawn beside Kc and Bc.
     """
-    from matplotlib.patches import Patch
-
-    steps = found.steps
-    drawn, (gains, *parameters) = canvas(
-        1, 3, (9, 1.4 + 0.36 * len(steps)), sharey=True, gridspec_kw={"width_ratios": [2, 1, 1]}
-    )
-    _draw_gains(steps, gains)
-    for name, panel in zip(("Kc", "Bc"), parameters, strict=True):
-        _draw_parameter(found, name, panel)
-    said = {True: "included", False: "rejected"}
-    handles = [Patch(label=label, **_style(included=included)) for included, label in said.items()]
-    handles.append(Patch(color="0.5", alpha=0.3, lw=0, label="95 % interval of the result"))
-    drawn.legend(handles=handles, loc="outside upper left", ncols=3, frameon=False)
-    return drawn
+    names = [step.term if at == 0 else f"+ {step.term}" for at, step in enumerate(found.steps)]
+    gains = _split(found.steps, [step.gain for step in found.steps], from_zero=True)
+    panels = [Panel("", "gain (included: above 0)", gains, scale="symlog", names=names)]
+    return Chart([*panels, *(_parameter(found, name, names) for name in ("Kc", "Bc"))])
 
 
-def _draw_gains(steps: tuple[Step, ...], panel: Axes) -> None:
-    for at, step in enumerate(steps):
-        if math.isfinite(step.gain):
-            panel.barh(at, step.gain, height=0.6, **_style(included=step.included))
-    panel.axvline(0.0, color="0.5", lw=0.8)
-    panel.set_xscale("symlog", linthresh=_LINEAR)
-    plain_ticks(panel)
-    names = [step.term if at == 0 else f"+ {step.term}" for at, step in enumerate(steps)]
-    panel.set_yticks(range(len(steps)), [literal(name) for name in names])
-    panel.set(xlabel="gain of the term (above 0: it pays)", ylim=(len(steps) - 0.5, -0.5))
+def _split(steps: Sequence[Step], values: Sequence[float], *, from_zero: bool = False) -> list[Line]:
+    """Return the points of the included terms and those of the rejected ones. from_zero: a stem from 0 to each."""
+    heights, lines = np.array(values, np.float64), []
+    for name, mark, colour, included in (("included", "dot", "first", True), ("rejected", "ring", "error", False)):
+        chosen = np.array([step.included == included for step in steps]) & np.isfinite(heights)
+        places, shown = np.flatnonzero(chosen).astype(np.float64), heights[chosen]
+        ends = np.sort([0.0 * shown, shown], axis=0) if from_zero else None
+        lines.append(Line(name, places, shown, colour, mark=mark, ends=ends))
+    return lines
 
 
-def _style(*, included: bool) -> dict[str, Any]:
-    """Return the style of a term's bar: included and rejected terms differ in colour and in pattern."""
-    return {"color": "C0"} if included else {"facecolor": "none", "edgecolor": "C3", "hatch": "////"}
-
-
-def _draw_parameter(found: Identification, name: str, panel: Axes) -> None:
+def _parameter(found: Identification, name: str, names: Sequence[str]) -> Panel:
     estimate = found[name]
     factor, unit = people_unit(estimate.unit, milli=milli(found))
-    if np.isfinite(estimate.ci95).all():
-        panel.axvspan(*(factor * end for end in estimate.ci95), color="0.5", alpha=0.3, lw=0)
-    for at, step in enumerate(found.steps):
-        filled = "C0" if step.included else "none"
-        panel.plot(factor * getattr(step, name), at, "o", ms=6, mfc=filled, mec="C0" if step.included else "C3")
-    panel.set(xlabel=f"{name} with it [{unit}]")
+    low, high = (factor * end for end in estimate.ci95)
+    bands = [Band(low, high, "95 % interval of the result")] if math.isfinite(low) and math.isfinite(high) else []
+    lines = _split(found.steps, [factor * getattr(step, name) for step in found.steps])
+    return Panel("", f"{name} with it [{unit}]", lines, names=names, bands=bands)
 
 
 def selection_text(found: Identification) -> str:

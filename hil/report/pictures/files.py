@@ -1,4 +1,4 @@
-"""Write figures as PNG files."""
+"""Write charts as PNG files."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ from typing import TYPE_CHECKING
 from hil.errors import WrongUse
 from hil.recording.output import atomic_write, check_output, writing
 from hil.report.html_page import Picture
+from hil.report.pictures.canvas import drawn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def write_pictures(drawn: Sequence[Picture], folder: Path, *, force: bool) -> list[Path]:
+def write_pictures(pictures: Sequence[Picture], folder: Path, *, force: bool) -> list[Path]:
     """Write each picture as NAME.png into a folder; return the paths. Creates the folder. force: replace existing
     files. Raises WrongUse.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"{one.name}.png" for one in drawn]
+    paths = [folder / f"{one.name}.png" for one in pictures]
     for path in paths:
         check_output(path, force=force)
-    for one, path in zip(drawn, paths, strict=True):
-        save_picture(one.draw(), path, force=force)
+    for one, path in zip(pictures, paths, strict=True):
+        save_picture(drawn(one.chart()), path, force=force)
     return paths
 
 

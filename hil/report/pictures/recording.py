@@ -1,4 +1,4 @@
-"""The figure of a recording."""
+"""The pictures of a recording."""
 
 from __future__ import annotations
 
@@ -9,25 +9,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.recording.channels import LARGEST
-from hil.report.pictures.canvas import GRID
+from hil.report.chart import Chart, Line, Panel
+from hil.report.pictures.canvas import mosaic
+from hil.report.pictures.thinning import in_order, loop_pieces, trace_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Channels = Mapping[str, NDArray[np.float64]]
 
-def recording_figure(channels: Mapping[str, NDArray[np.float64]], units: Mapping[str, str]) -> Figure:
-    """Return a figure of channels (n,), SI: command, torque and deflection over time, and torque over deflection."""
-    from matplotlib.figure import Figure
 
-    channels = {name: np.where(np.abs(values) < LARGEST, values, np.nan) for name, values in channels.items()}
-    drawn = Figure(figsize=(10, 6), layout="constrained")
-    panels = drawn.subplot_mosaic([["command", "loop"], ["torque", "loop"], ["dtheta", "loop"]], width_ratios=[2, 1])
-    for channel, label in (("command", "command"), ("torque", "torque at the joint"), ("dtheta", "deflection")):
-        panels[channel].plot(channels["time"], channels[channel], lw=0.7)
-        panels[channel].set(ylabel=f"{label} [{units[channel].replace('*', ' ')}]")
-    panels["dtheta"].set(xlabel="time [s]")
-    panels["loop"].plot(channels["dtheta"], channels["torque"], lw=0.4)
-    panels["loop"].set(xlabel="deflection [rad]", ylabel="torque at the joint [N m]", title="torque over deflection")
-    for panel in panels.values():
-        panel.grid(visible=True, lw=GRID)
-    return drawn
+def recording_figure(channels: Channels, units: Mapping[str, str]) -> Figure:
+    """Return a figure of channels (n,), SI: command, torque and deflection over time, and torque over deflection.
+    Raises WrongUse without matplotlib.
+    """
+    *over_time, loop = _panels(channels, units)
+    names = ("command", "torque", "dtheta")
+    layout = [[name, "loop"] for name in names]
+    return mosaic(layout, dict(zip((*names, "loop"), (*over_time, loop), strict=True)), width_ratios=[2, 1])
+
+
+def recording_chart(channels: Channels, units: Mapping[str, str]) -> Chart:
+    """Return the same panels as a chart, one below the other."""
+    return Chart(_panels(channels, units))
+
+
+def _panels(channels: Channels, units: Mapping[str, str]) -> list[Panel]:
+    known = {name: np.where(np.abs(values) < LARGEST, values, np.nan) for name, values in channels.items()}
+    rows, time = trace_rows(known["torque"], known["dtheta"]), in_order(known["time"])
+    labels = {"command": "command", "torque": "torque at the joint", "dtheta": "deflection"}
+    shown = time[rows]
+    panels = [
+        Panel("time [s]", f"{label} [{units[name].replace('*', ' ')}]", [Line("", shown, known[name][rows])])
+        for name, label in labels.items()
+    ]
+    dtheta, torque = loop_pieces(known["dtheta"], known["torque"])
+    loop = Line("", dtheta, torque, width=0.6)
+    return [*panels, Panel("deflection [rad]", "torque at the joint [N m]", [loop], title="torque over deflection")]

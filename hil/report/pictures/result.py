@@ -1,14 +1,15 @@
-"""The figures of an identification."""
+"""The pictures of an identification."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hil.report.chart import Chart, Panel
 from hil.report.formatting import people_unit
 from hil.report.html_page import Picture
 from hil.report.identification import headline, milli
 from hil.report.pictures import checks, estimates, search
-from hil.report.pictures.canvas import GRID
+from hil.report.pictures.canvas import mosaic
 from hil.report.pictures.traces import Traces
 
 if TYPE_CHECKING:
@@ -20,86 +21,85 @@ if TYPE_CHECKING:
 
 def figure(found: Identification) -> Figure:
     """Return one figure with everything: torque and model over time, residuals, torque over deflection, lack of fit,
-    dynamic stiffness.
+    dynamic stiffness. Raises WrongUse without matplotlib.
 
     A line is interrupted between recordings and at gaps.
     """
-    from matplotlib.figure import Figure
-
     traces = Traces.of(found)
-    drawn = Figure(figsize=(10, 9), layout="constrained")
-    panels = drawn.subplot_mosaic(
-        [
-            ["torque", "torque", "loop"],
-            ["residuals", "residuals", "loop"],
-            ["correlation", "plane", "dynamic"],
-        ],
-        height_ratios=[2, 1, 1.5],
-    )
-    traces.draw(panels["torque"], panels["residuals"])
-    panels["torque"].set_title(headline(found), pad=24)
-    traces.draw_loop(panels["loop"])
-    factor = people_unit("N*m", milli=milli(found))[0]
-    checks.draw_correlation(found.lack_of_fit, panels["correlation"])
-    checks.draw_plane(found.lack_of_fit, panels["plane"], factor, traces.unit)
-    checks.draw_stiffness(found.dynamic_stiffness, panels["dynamic"], factor, f"{traces.unit}/rad")
-    for name in ("torque", "residuals", "loop", "correlation", "dynamic"):
-        panels[name].grid(visible=True, lw=GRID)
+    factor, unit = people_unit("N*m", milli=milli(found))
+    torque, residuals = traces.panels()
+    misfit, dynamic = found.lack_of_fit, found.dynamic_stiffness
+    panels: dict[str, Panel | None] = {
+        "torque": torque,
+        "residuals": residuals,
+        "loop": traces.loop(),
+        "correlation": checks.correlation_panel(misfit) if misfit else None,
+        "plane": checks.plane_panel(misfit, factor, unit) if misfit else None,
+        "dynamic": checks.stiffness_panel(dynamic, factor, f"{unit}/rad") if dynamic else None,
+    }
+    layout = [["torque", "torque", "loop"], ["residuals", "residuals", "loop"], ["correlation", "plane", "dynamic"]]
+    drawn = mosaic(layout, panels, height_ratios=[2, 1, 1.5])
+    drawn.suptitle(headline(found))
     return drawn
 
 
 def pictures(found: Identification) -> list[Picture]:
     """Return all pictures of a result, each with its numbers in words."""
-    drawn = [*fit_pictures(found), *_residual_pictures(found)]
+    text = checks.residuals_text(found)
+    shown = [*fit_pictures(found), Picture("residuals", "Residuals", text, lambda: checks.residuals_chart(found))]
+    if (misfit := found.lack_of_fit) is not None:
+        words = "the model does not describe the recording" if misfit.misfit else "no misfit was found"
+        share = f"the motion predicts {misfit.share:.1%} of their power"
+        text = f"Residuals beside the earlier motion, and over deflection and rate: {words}; {share}."
+        heading = "Does the model describe the recording?"
+        shown.append(Picture("fit", heading, text, lambda: checks.lack_of_fit_chart(found, misfit)))
     text = estimates.intervals_text(found)
-    drawn.append(Picture("intervals", "Intervals", text, lambda: estimates.intervals_drawn(found)))
+    shown.append(Picture("intervals", "Intervals", text, lambda: estimates.intervals_chart(found)))
     if found.steps:
         text = estimates.selection_text(found)
-        drawn.append(Picture("selection", "Model selection", text, lambda: estimates.selection_drawn(found)))
-    if found.dynamic_stiffness is not None:
-        text = _dynamic_text(found, found.dynamic_stiffness.bands)
-        drawn.append(Picture("dynamic", "Dynamic stiffness", text, lambda: checks.dynamic_stiffness_drawn(found)))
-    text = search.convergence_text(found)
-    drawn.append(Picture("convergence", "Convergence of the search", text, lambda: search.convergence_drawn(found)))
+        shown.append(Picture("selection", "Model selection", text, lambda: estimates.selection_chart(found)))
+    if (dynamic := found.dynamic_stiffness) is not None:
+        text = _dynamic_text(found, dynamic.bands)
+        chart = lambda: checks.dynamic_stiffness_chart(found, dynamic)  # noqa: E731 - as the others
+        shown.append(Picture("dynamic", "Dynamic stiffness", text, chart))
+    return [*shown, *_search_pictures(found)]
+
+
+def _search_pictures(found: Identification) -> list[Picture]:
+    factor, unit = people_unit("N*m", milli=milli(found))
+    shown = [
+        Picture(
+            "convergence",
+            "Convergence of the search",
+            search.convergence_text(found),
+            lambda: search.convergence_chart(found.trials, found.optimum, factor, unit),
+        )
+    ]
     if search.has_landscape(found):
         text = search.landscape_text(found)
-        drawn.append(Picture("landscape", "Fitness landscape", text, lambda: search.landscape_drawn(found)))
-    return drawn
+        shown.append(Picture("landscape", "Fitness landscape", text, lambda: search.landscape_chart(found)))
+    return shown
 
 
 def fit_pictures(found: Identification) -> list[Picture]:
-    """Return two pictures of measured and modelled torque: over time, and over the deflection."""
+    """Return two pictures of measured and modelled torque: over the deflection, and over time."""
     traces = Traces.of(found)
-    light = traces.thinned()
     return [
-        Picture(
-            "traces",
-            "Torque, measured and modelled",
-            f"Torque at the joint over time with the model {found.model.name}; "
-            f"they differ by {traces.error} on average.",
-            light.drawn,
-            traces.chart(),
-        ),
         Picture(
             "loop",
             "Torque over deflection",
             f"The loop of torque over deflection, measured and modelled: its slope is Kc, its width is friction and "
             f"damping. {headline(found)}.",
-            lambda: traces.pieces().loop_drawn(),
+            lambda: Chart([traces.loop()]),
+        ),
+        Picture(
+            "traces",
+            "Torque, measured and modelled",
+            f"Torque at the joint over time with the model {found.model.name}; "
+            f"they differ by {traces.error} on average.",
+            traces.chart,
         ),
     ]
-
-
-def _residual_pictures(found: Identification) -> list[Picture]:
-    text = checks.residuals_text(found)
-    drawn = [Picture("residuals", "Residuals", text, lambda: checks.residuals_drawn(found))]
-    if found.lack_of_fit is not None:
-        words = "the model does not describe the recording" if found.lack_of_fit.misfit else "no misfit was found"
-        share = f"the motion predicts {found.lack_of_fit.share:.1%} of their power"
-        text = f"Residuals beside the earlier motion, and over deflection and rate: {words}; {share}."
-        heading = "Does the model describe the recording?"
-        drawn.append(Picture("fit", heading, text, lambda: checks.lack_of_fit_drawn(found)))
-    return drawn
 
 
 def _dynamic_text(found: Identification, bands: Bands) -> str:

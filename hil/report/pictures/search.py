@@ -1,4 +1,4 @@
-"""Figures of the search: how fast it converged (the paper's Figure 8), and the fitness over Kc and Bc with the
+"""Pictures of the search: how fast it converged (the paper's Figure 8), and the fitness over Kc and Bc with the
 populations.
 """
 
@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.report.chart import Chart, Heat, Line, Panel
 from hil.report.formatting import people_unit
 from hil.report.identification import milli
-from hil.report.pictures.canvas import canvas, plain_ticks
 from hil.report.pictures.traces import linear_problem
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from ga.trials.outcome import Trials
     from hil.identification.result import Estimate, Identification
 
@@ -34,38 +31,37 @@ _WIDE = 0.6  # of the value, that the far landscape shows on each side at least
 _UNKNOWN = 0.2  # of the value, for half an interval that is not finite
 
 
-def convergence_drawn(found: Identification) -> Figure:
-    """Return a figure of the best fitness of every trial over the generations, and of its difference from the exact
-    optimum.
-    """
-    drawn, panels = canvas(1, 2, (9, 3.8))
-    factor, unit = people_unit("N*m", milli=milli(found))
-    draw_convergence(found.trials, found.optimum, panels, factor, unit)
-    return drawn
-
-
-def draw_convergence(trials: Trials, optimum: float, panels: list[Axes], factor: float, unit: str) -> None:
-    """Draw the best fitness of every trial, and its difference from the exact optimum.
+def convergence_chart(trials: Trials, optimum: float, factor: float, unit: str) -> Chart:
+    """Return the best fitness of every trial over the generations, and its difference from the exact optimum.
 
     optimum: fitness of the exact optimum, N m. factor, unit: from SI to the printed unit of torque.
     """
     history = trials.history
-    mean = history.fitness.mean(axis=0)
-    gaps = np.maximum(history.fitness / optimum - 1.0, _NO_GAP) if optimum > 0.0 else np.full_like(history.fitness, 1.0)
-    for panel, each, average in ((panels[0], factor * history.fitness, factor * mean), (panels[1], gaps, gaps.mean(0))):
-        panel.plot(history.generation, each.T, lw=0.5, color="C0", alpha=0.35)
-        panel.plot([], [], lw=0.5, color="C0", label="one trial")
-        panel.plot(history.generation, average, lw=2.2, color="C0", label=f"mean of {len(each)}")
-        panel.set_xscale("symlog", linthresh=1.0)
-        panel.set(xlabel="generation", xlim=(0, max(1, int(history.generation[-1]))))
-    panels[0].axhline(factor * optimum, color="C3", ls="--", lw=1.2, label="exact optimum")
-    if mean[0] > 2.0 * optimum > 0.0:
-        panels[0].set_yscale("log")
-    panels[0].ticklabel_format(axis="y", useOffset=False) if panels[0].get_yscale() == "linear" else None
-    panels[0].set(ylabel=f"best fitness [{unit}]")
-    panels[0].legend(loc="upper right")
-    panels[1].set(yscale="log", ylabel="optimiser gap, relative")
-    plain_ticks(*panels)
+    generation = history.generation.astype(np.float64)
+    gaps = np.maximum(history.fitness / optimum - 1.0, _NO_GAP) if optimum > 0.0 else np.ones_like(history.fitness)
+    fitness = factor * history.fitness
+    best = Line("exact optimum", generation, np.full_like(generation, factor * optimum), "error", dashed=True)
+    is_wide = float(fitness[:, 0].mean()) > 2.0 * factor * optimum > 0.0
+    label = "optimiser gap, relative"
+    return Chart(
+        [
+            Panel(
+                "generation",
+                f"best fitness [{unit}]",
+                [*_trials(generation, fitness), best],
+                x_scale="symlog",
+                scale="log" if is_wide else "linear",
+            ),
+            Panel("generation", label, _trials(generation, gaps), x_scale="symlog", scale="log"),
+        ],
+        columns=2,
+    )
+
+
+def _trials(generation: Array, values: Array) -> list[Line]:
+    """Return a thin line for each trial (t, g) over the generations (g,), and a thick one for their mean."""
+    each = [Line("" if at else "one trial", generation, one, "soft", width=0.5) for at, one in enumerate(values)]
+    return [*each, Line(f"mean of {len(values)}", generation, values.mean(axis=0), width=2.0)]
 
 
 def convergence_text(found: Identification) -> str:
@@ -127,17 +123,11 @@ def has_landscape(found: Identification) -> bool:
     return all(name in linear for name in PARAMETERS)
 
 
-def landscape_drawn(found: Identification) -> Figure:
-    """Return a figure of two landscapes: one as wide as the first population, one around the interval of the result."""
-    drawn, panels = canvas(1, 2, (9, 4.2))
+def landscape_chart(found: Identification) -> Chart:
+    """Return two landscapes: one as wide as the first population, one around the interval of the result."""
     far, near = _spans(found)
-    _draw_landscape(found, far, panels[0])
-    _draw_landscape(found, near, panels[1])
-    panels[0].set(title="from afar")
-    panels[1].set(title="about the result")
-    handles, labels = panels[0].get_legend_handles_labels()
-    drawn.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-    return drawn
+    panels = [_landscape_panel(found, far, "from afar"), _landscape_panel(found, near, "about the result")]
+    return Chart(panels, columns=2)
 
 
 def landscape_text(found: Identification) -> str:
@@ -206,40 +196,41 @@ def _far(near: Span, middle: float, genes: Array) -> Span:
     return middle - half, middle + half
 
 
-def _draw_landscape(found: Identification, spans: tuple[Span, Span], panel: Axes) -> None:
+def _landscape_panel(found: Identification, spans: tuple[Span, Span], title: str) -> Panel:
     (stiffness, kc), (damping, bc) = (people_unit(found[name].unit, milli=milli(found)) for name in PARAMETERS)
     torque, unit = people_unit("N*m", milli=milli(found))
-    seen = landscape(found, spans)
     (left, right), (low, high) = spans
     extent = (stiffness * left, stiffness * right, damping * low, damping * high)
-    panel.grid(visible=False)
-    shades = panel.imshow(
-        torque * seen.error, origin="lower", extent=extent, aspect="auto", cmap="Blues_r", interpolation="bilinear"
-    )
-    panel.figure.colorbar(shades, ax=panel, label=f"mean |torque error| [{unit}]", format="%.4g")
-    panel.contour(stiffness * seen.Kc, damping * seen.Bc, torque * seen.error, 10, colors="0.35", linewidths=0.4)
-    _draw_interval(found, panel, stiffness, damping)
-    place = stiffness * found["Kc"].exact, damping * found["Bc"].exact
-    panel.plot(*place, "+", ms=22, mew=2.2, color="C1", label="exact optimum")
-    _draw_population(found, panel, stiffness, damping)
-    panel.set(xlim=extent[:2], ylim=extent[2:], xlabel=f"Kc [{kc}]", ylabel=f"Bc [{bc}]")
+    heat = Heat(torque * landscape(found, spans).error, extent, f"mean |torque error| [{unit}]")
+    kc_exact, bc_exact = np.array([stiffness * found["Kc"].exact]), np.array([damping * found["Bc"].exact])
+    lines = [
+        *_interval(found, stiffness, damping),
+        *_populations(found, stiffness, damping, extent),
+        Line("exact optimum", kc_exact, bc_exact, "ink", mark="ring"),
+    ]
+    return Panel(f"Kc [{kc}]", f"Bc [{bc}]", lines, title=title, heat=heat)
 
 
-def _draw_population(found: Identification, panel: Axes, stiffness: float, damping: float) -> None:
-    populations = _population(found)
-    if populations is None:
-        return
-    columns = [_place(found, name) for name in PARAMETERS]
-    styles = (("first generation", "o", "w"), ("last generation", "D", "C2"))
-    for genes, (label, marker, colour) in zip(populations, styles, strict=True):
-        kc, bc = (genes[:, column] for column in columns)
-        panel.plot(stiffness * kc, damping * bc, marker, ms=4.5, mfc=colour, mec="k", mew=0.6, ls="none", label=label)
+def _populations(
+    found: Identification, stiffness: float, damping: float, extent: tuple[float, float, float, float]
+) -> list[Line]:
+    """Return the individuals of the first and of the last generation that are within the landscape."""
+    lines: list[Line] = []
+    left, right, low, high = extent
+    styles = (("first generation", "soft"), ("last generation", "good"))
+    for genes, (name, colour) in zip(_population(found) or (), styles, strict=False):
+        kc, bc = (
+            scale * genes[:, _place(found, one)] for scale, one in zip((stiffness, damping), PARAMETERS, strict=True)
+        )
+        seen = (kc >= left) & (kc <= right) & (bc >= low) & (bc <= high)
+        lines.append(Line(name, kc[seen], bc[seen], colour, mark="dot"))
+    return lines
 
 
-def _draw_interval(found: Identification, panel: Axes, stiffness: float, damping: float) -> None:
-    from matplotlib.patches import Rectangle
-
+def _interval(found: Identification, stiffness: float, damping: float) -> list[Line]:
+    """Return the rectangle of the 95 % intervals of Kc and Bc, none if one is not known."""
     (low, high), (least, most) = (found[name].ci95 for name in PARAMETERS)
-    if np.isfinite([low, high, least, most]).all():
-        corner, size = (stiffness * low, damping * least), (stiffness * (high - low), damping * (most - least))
-        panel.add_patch(Rectangle(corner, *size, fill=False, ec="C3", lw=1.4, label="95 % interval"))
+    if not np.isfinite([low, high, least, most]).all():
+        return []
+    kc, bc = stiffness * np.array([low, high, high, low, low]), damping * np.array([least, least, most, most, least])
+    return [Line("95 % interval", kc, bc, "error", width=1.4)]

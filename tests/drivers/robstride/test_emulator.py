@@ -209,7 +209,8 @@ def test_mit_frames_have_modes_of_position_and_speed_and_change_ids() -> None:
     mit(0, b"\xff" * 6 + b"\x01\xfc")
     mit(1, struct.pack("<ff", math.nan, math.inf))
     mit(1, struct.pack("<ff", 0.3, 1.0))
-    assert (device.values["loc_ref"], device.values["limit_spd"]) == (pytest.approx(0.3), 1.0)
+    assert device.values["loc_ref"] == pytest.approx(0.3)
+    assert device.values["limit_spd"] == 1.0
     assert mit(0, b"\xff" * 6 + b"\x05\xfa") == CanFrame(5, device._serial)
     assert mit(0, b"\xff" * 6 + b"\xfd\x11") == CanFrame(5, device._serial)
     assert (mit(0, b"\xff" * 7 + b"\xfd").ident, device.ident, device.motor.enabled) == (0x11, 5, False)

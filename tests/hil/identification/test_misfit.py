@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from hil.cli import app
 from hil.recording.writer import Header, write
-from hil.report.html_page import Picture, svg
 
 Array = NDArray[np.float64]
 
@@ -261,13 +260,8 @@ def test_a_joint_that_rests_in_the_held_out_blocks_is_not_refused(
 
 
 @pytest.mark.study
-def test_the_report_draws_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_report_draws_the_test(tmp_path: Path) -> None:
     page, heading = tmp_path / "page.html", "Does the model describe the recording?"
-
-    def drawn_alone(picture: Picture) -> str:
-        return svg(picture) if picture.heading == heading else "<svg/>"
-
-    monkeypatch.setattr("hil.report.html_page.svg", drawn_alone)
     words = ["--model", "linear", "--trials", "1", "--report", str(page)]
     app.run(["identify", str(recording(tmp_path / "a.h5", sheathed())), *words])
 

@@ -10,7 +10,7 @@ import pytest
 from hil.identification import replicate as experiment
 from hil.identification.replicate import Replication
 from hil.recording.reader import Recording
-from hil.report.replication import as_json, replication_lines, write_convergence
+from hil.report.replication import as_json, replication_lines, write_page
 
 
 @pytest.fixture(scope="module")
@@ -51,5 +51,5 @@ def test_figure_eight_ends_at_the_best_of_each_trial_and_never_rises(done: Repli
     history = done.identification.trials.history
     assert np.all(np.diff(history.fitness, axis=1) <= 0.0)
     np.testing.assert_array_equal(history.fitness[:, -1], done.identification.trials.fitness)
-    write_convergence(done, tmp_path / "figure8.png")
-    assert (tmp_path / "figure8.png").read_bytes().startswith(b"\x89PNG")
+    write_page(done, tmp_path / "figure8.html")
+    assert "Figure 8" in (tmp_path / "figure8.html").read_text(encoding="utf-8")

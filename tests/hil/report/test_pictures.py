@@ -7,16 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.patches import Rectangle
 
 from ga.model.coupling import parse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.identification.selection.stepwise import Step
+from hil.report.pictures import checks
 from hil.report.pictures.result import pictures
 from hil.report.pictures.search import Landscape, has_landscape, landscape
-from hil.report.pictures.traces import Traces, modelled
+from hil.report.pictures.traces import modelled
 
 from .conftest import recording
 
@@ -73,7 +73,7 @@ def test_the_modelled_torque_has_the_error_that_was_found(tmp_path: Path, model:
 
 def test_every_picture_names_its_numbers(found: Identification) -> None:
     shown = {one.name: one.alt for one in pictures(found)}
-    assert list(shown) == ["traces", "loop", "residuals", "fit", "intervals", "dynamic", "convergence", "landscape"]
+    assert list(shown) == ["loop", "traces", "residuals", "fit", "intervals", "dynamic", "convergence", "landscape"]
     optimum = f"{1e3 * found.optimum:.5g} mN m"
     assert f"the exact optimum is {optimum}" in shown["convergence"]
     assert f"{found.optimiser_gap:.1e} above it" in shown["convergence"]
@@ -83,13 +83,12 @@ def test_every_picture_names_its_numbers(found: Identification) -> None:
 
 
 def test_the_convergence_has_a_line_for_each_trial_their_mean_and_the_optimum(found: Identification) -> None:
-    drawn = {one.name: one.draw for one in pictures(found)}["convergence"]()
-    fitness, history = drawn.axes[0], found.trials.history
-    lines = [np.asarray(line.get_ydata()) for line in fitness.get_lines()]
+    fitness = {one.name: one.chart for one in pictures(found)}["convergence"]().panels[0]
+    history, lines = found.trials.history, [line.y for line in fitness.lines]
     for trial in range(4):
         np.testing.assert_allclose(lines[trial], 1e3 * history.fitness[trial])
-    np.testing.assert_allclose(lines[5], 1e3 * history.fitness.mean(axis=0))
-    np.testing.assert_allclose(lines[6], 1e3 * found.optimum)
+    np.testing.assert_allclose(lines[4], 1e3 * history.fitness.mean(axis=0))
+    np.testing.assert_allclose(lines[5], 1e3 * found.optimum)
 
 
 def test_model_selection_is_drawn_with_the_gain_of_each_term(found: Identification) -> None:
@@ -98,19 +97,21 @@ def test_model_selection_is_drawn_with_the_gain_of_each_term(found: Identificati
         Step("linear", term, 2e-4, 2e-4, gain, 0.02, 2e-4, gain > 1.0, 2.0) for term, gain in gains_of.items()
     )
     picture = {one.name: one for one in pictures(replace(found, steps=steps))}["selection"]
-    gains, tried = picture.draw().axes[0], steps[1:]
-    widths = [bar.get_width() for bar in gains.patches if isinstance(bar, Rectangle)]
-    np.testing.assert_allclose(widths, [step.gain for step in tried])
-    for step in tried:
+    gains = {
+        place: gain
+        for line in picture.chart().panels[0].lines
+        for place, gain in zip(line.x.tolist(), line.y.tolist(), strict=True)
+    }
+    assert gains == {float(at): step.gain for at, step in enumerate(steps) if at}
+    for step in steps[1:]:
         decision = "included" if step.included else "rejected"
         assert f"{step.term} {step.gain:.3g} ({decision})" in picture.alt
 
 
-def test_the_loop_of_a_long_recording_has_no_line_between_samples_that_do_not_follow_each_other() -> None:
-    """Such a line would cross the loop where nothing was measured."""
-    time = np.arange(20_000) / 500.0
-    traces = Traces(time, time, time, 0.0 * time, np.sin(time), "N m", "linear").pieces()
-    joined = np.diff(traces.time)
-    np.testing.assert_allclose(joined[np.isfinite(joined)], 1.0 / 500.0)
-    assert 1000 < np.isfinite(joined).sum() < 2000
-    assert np.nanmax(traces.time) == time[-1]
+def test_the_spectrum_of_white_noise_lies_in_its_band() -> None:
+    """The mean of the power over frequency is the variance over half the sampling rate."""
+    values = np.random.default_rng(3).standard_normal(20_000)
+    panel = checks.spectrum_panel(values, 500.0, "N m")
+    (line,), (band,) = panel.lines, panel.bands
+    assert float(line.y.mean()) == pytest.approx(2.0 / 500.0, rel=0.03)
+    assert float(np.mean((line.y > band.low) & (line.y < band.high))) > 0.9
