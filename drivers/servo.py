@@ -104,12 +104,15 @@ class Command:
         return cls(Quantity.TORQUE, 0.0)
 
 
+_LIMITS = ": nothing was sent; correct [limits], gear_ratio and zero in the stand file"
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits that the drive must never exceed, at the motor shaft.
 
     torque: largest magnitude, N m. velocity: largest magnitude, rad/s. temperature: highest, degC. position: lowest and
-    highest, rad. Raises ValueError if a limit is not a positive number or the positions are reversed.
+    highest, rad. Raises UnsafeCommand if a limit is not a positive number or the positions are no range.
     """
 
     torque: float
@@ -121,10 +124,10 @@ class Limits:
         for name in ("torque", "velocity", "temperature"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"limit of {name}: {value} is not a positive number")
+                raise UnsafeCommand(f"the limit of {name} at the motor, {value:g}, is not a positive number{_LIMITS}")
         low, high = self.position
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ValueError(f"limit of position: {low} to {high} is not a range")
+            raise UnsafeCommand(f"the limits of position at the motor, {low:g} to {high:g} rad, are no range{_LIMITS}")
 
     def bound(self, command: Command) -> Command:
         """Return the set-point clamped to the limits.

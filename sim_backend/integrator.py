@@ -7,6 +7,8 @@ special case: steps shrink until the error of the step that contains the jump is
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,8 @@ the paper's joint works.
 """
 LONGEST = 0.01
 SHORTEST = 1e-12
+MOST_STEPS = 4_000_000
+"""Most steps of one call of `integrate`, some seconds of processor time."""
 _STRETCH = 1.1
 """Factor by which the last step may be longer than proposed. A short remainder would need a step of its own."""
 REMEMBERED = 4096
@@ -58,13 +62,18 @@ def start(c: Constants) -> Path:
 def integrate(path: Path, demand: float, until: float, constants: Packed) -> None:
     """Integrate the path up to `until`, s, while the motor torque `demand`, N m, is demanded of the current loop.
 
-    Has no effect if this time has passed.
+    Has no effect if this time has passed. The state becomes NaN if that takes more than `MOST_STEPS` steps.
     """
     clock, state, trial = path[CLOCK], path[STATE], path[TRIAL]
     a, b, c, d, e = path[SLOPES], path[SLOPES + 1], path[SLOPES + 2], path[SLOPES + 3], path[SLOPES + 4]
     f, g = path[SLOPES + 5], path[SLOPES + 6]
-    first = 0  # the slope jumps with the demand: the first step begins with a new one
+    first, tried = 0, 0  # the slope jumps with the demand: the first step begins with a new one
     while clock[TIME] < until:
+        tried += 1
+        if tried > MOST_STEPS:
+            state[:], clock[TIME] = math.nan, until
+            _remember(path, clock, state, a)
+            return
         left, proposed = until - clock[TIME], clock[STEP]
         step = left if left < _STRETCH * proposed else proposed
         for stage in range(first, 7):

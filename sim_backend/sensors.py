@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from drivers.servo import DriverError
 from ga.compiled import compiled_no_refcount
 from sim_backend.drive import FROZEN, Drive
-from sim_backend.integrator import CLOCK, TIME, TRIAL, Path, recall
+from sim_backend.integrator import CLOCK, REMEMBERED, TIME, TRIAL, Path, recall
 from sim_backend.plant import CELL, JOINT, MOTOR, TORQUE, VELOCITY, WINDING, Vector
 
 if TYPE_CHECKING:
@@ -135,15 +136,16 @@ class Sensors:
     def read(self, drive: Drive, at: float, motor_torque: float, joint_torque: float) -> Reading:
         """Simulate the drive up to `at`, s, and return the measurement of every sensor, each with its own delay.
 
-        motor_torque, joint_torque: noise of the two torques, standard normal. Raises RuntimeError if a sensor's delay
-        is longer than the stored past of the plant.
+        motor_torque, joint_torque: noise of the two torques, standard normal. Raises DriverError if the plant cannot
+        be integrated, or a sensor's delay is longer than its stored past.
         """
         drive.run(at)
         read_channels(drive.memory, drive.path, self._constants, at, motor_torque, joint_torque, self._reading)
         reading = Reading(*self._reading.tolist())
         if math.isnan(reading.motor_position):
-            raise RuntimeError(
-                "a sensor shows an instant the plant no longer remembers: "
-                "lower the sensors' delays or fixture.stiffness"
+            raise DriverError(
+                "the simulated stand cannot be computed: a part is too fast for the integrator, or a sensor's delay is "
+                f"longer than its last {REMEMBERED} steps; in [sim], lower stiffness, damping and delays, or raise the "
+                "inertias"
             )
         return reading

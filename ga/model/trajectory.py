@@ -180,6 +180,8 @@ class Motion:
         step = float(np.median(np.diff(self.time)))
         grids = [_subdivided(part, step) for part in inside]
         lengths = [len(grid) for grid, _ in grids if len(grid)]
+        if not lengths:
+            return self.of(np.empty(0, dtype=np.intp))
         parts = [curve(grid) for (grid, _), curve in zip(grids, self._curves, strict=True) if len(grid)]
         whole = replace(
             self,

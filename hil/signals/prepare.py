@@ -341,7 +341,7 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
         if len(at) < FEWEST:
             raise Untrustworthy(
                 f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "
-                f"{FEWEST}: record for longer"
+                f"{FEWEST}: record for longer, or check the clock that gives the cell's time if it stands still"
             )
         found = own.value[np.searchsorted(own.time, at.time)]
         if is_last:

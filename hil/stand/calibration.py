@@ -7,7 +7,7 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from hil.diagnostics import Diagnostic
 
@@ -16,10 +16,18 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+def _in_utc(date: datetime) -> datetime:
+    """Return the date in UTC, which a date without a zone is in. Raises ValueError for a year that UTC cannot have."""
+    try:
+        return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
+    except OverflowError:
+        raise ValueError(f"{date} is no date of a calibration") from None
+
+
 class _Dated(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    date: datetime
+    date: Annotated[datetime, AfterValidator(_in_utc)]
 
 
 class TorqueCalibration(_Dated):
@@ -82,7 +90,7 @@ class CalibrationTable(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    valid_days: Positive = 365.0
+    valid_days: Annotated[Positive, Field(le=1e5)] = 365.0
     torque: TorqueCalibration | None = None
     step: StepCalibration | None = None
     fixture: FixtureCalibration | None = None
@@ -91,7 +99,7 @@ class CalibrationTable(BaseModel):
     def made(self) -> dict[str, datetime]:
         """Return the date of each calibration in the file, by the calibration's name."""
         found = {name: getattr(self, name) for name in ("torque", "step", "fixture", "zero")}
-        return {name: _in_utc(one.date) for name, one in found.items() if one is not None}
+        return {name: one.date for name, one in found.items() if one is not None}
 
     def dates(self) -> dict[str, str]:
         """Return the date of each calibration in the file as a text (ISO 8601), by the calibration's name."""
@@ -118,7 +126,3 @@ _MEANING = {
     "zero": "the deflection may count from another angle",
 }
 _COMMAND = {"torque": "torque", "step": "torque --step", "fixture": "fixture", "zero": "zero"}
-
-
-def _in_utc(date: datetime) -> datetime:
-    return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)

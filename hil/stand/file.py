@@ -5,11 +5,13 @@ Angles and torques of `Stand` are at the joint; `hil.stand.transmission` convert
 
 from __future__ import annotations
 
+import math
 import reprlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -33,6 +35,11 @@ LARGEST = 1 << 20
 """The largest allowed size of a stand file, bytes."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
+
+_LARGEST_VALUE, _SMALLEST_VALUE = 1e15, 1e-15
+"""The range of the magnitude of a number in a stand file, in SI: no stand has such a value, and no product of a few of
+them overflows.
+"""
 
 _Error = tuple[Place, str]  # where it is, and what is wrong
 
@@ -218,11 +225,28 @@ def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_
     """Return the checked stand file as a model, and the errors in it; the model is None if there are errors."""
     values, units = in_si(table, model)
     wrong: list[_Error] = [(place, f"{_key(place)}: {said}") for place, said in units.items()]
+    if beyond := list(_beyond(values)):  # no model's own check has to expect such a number
+        return None, wrong + beyond
     try:
         return model.model_validate(values), wrong
     except ValidationError as error:
         items = [item for item in error.errors() if item["loc"] not in units]
         return None, wrong + [(item["loc"], _message(item, model)) for item in items]
+
+
+def _beyond(value: Any, place: Place = ()) -> Iterator[_Error]:
+    """Yield an error for each finite number in a table that is out of the range of `_LARGEST_VALUE`."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _beyond(inner, (*place, key))
+    elif isinstance(value, int | float) and value:
+        size = abs(value)
+        if _LARGEST_VALUE < size < math.inf or size < _SMALLEST_VALUE:
+            yield (
+                place,
+                f"{_key(place)} = {reprlib.repr(value)}: must be 0, or between {_SMALLEST_VALUE:g} and "
+                f"{_LARGEST_VALUE:g} in SI units",
+            )
 
 
 def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
@@ -239,6 +263,7 @@ def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
         return None, [(("joint_sensor", "kind"), f"joint_sensor.kind: {error}")]
 
 
+@lru_cache(maxsize=64)
 def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
     """Return the model of a stand file with the tables of these devices; the code of other devices is not loaded."""
     tables: dict[str, Any] = {name: (BACKENDS[name].table_class(), ...) for name in sorted(backends)}

@@ -235,5 +235,5 @@ def test_delays_beyond_what_is_remembered_are_an_error_not_a_wrong_value(quiet: 
     rigid = replace(quiet.fixture, stiffness=1e6)
     servo = opened(replace(quiet, fixture=rigid, sensors=replace(quiet.sensors, joint_torque_delay=0.02)))
     servo.arm(limits)
-    with pytest.raises(RuntimeError, match="no longer remembers"):
+    with pytest.raises(DriverError, match="cannot be computed"):
         driven(servo, torque(1e-3), 50)

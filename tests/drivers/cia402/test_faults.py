@@ -9,7 +9,8 @@ from typing import Any
 import can
 import pytest
 
-from drivers.cia402.profiles import NOT_ENABLED
+from drivers.cia402.network import LinkedNetwork
+from drivers.cia402.profiles import NOT_ENABLED, ObjectIndex
 from drivers.cia402.scan import search
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity
 from sim_backend.wire.canopen.node import HEARTBEAT_LOST, PRE_OPERATIONAL
@@ -65,6 +66,31 @@ def test_a_node_that_is_no_drive_is_refused(make_cia402: Make) -> None:
     rig.device.objects.put(0x1000, 0, 0x000F0191)
     with pytest.raises(DriverError, match="has device profile 401"):
         rig.open()
+
+
+@pytest.mark.parametrize("size", [0, 1, 9])
+def test_an_sdo_reply_with_too_few_or_too_many_bytes_is_a_bad_reply_and_leaves_no_torque(
+    make_cia402: Make, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_cia402()
+    servo = rig.open()
+    whole = LinkedNetwork.read
+    for place in (ObjectIndex(0x6076, 0), ObjectIndex(0x6080, 0), ObjectIndex(0x6041, 0)):
+
+        def cut(network: LinkedNetwork, asked: ObjectIndex, place: ObjectIndex = place) -> bytes:
+            data = whole(network, asked)
+            return (data + bytes(9))[:size] if asked == place else data
+
+        monkeypatch.setattr(LinkedNetwork, "read", cut)
+        with contextlib.suppress(DriverError):
+            servo.arm(LIMITS)
+            servo.disarm()
+        monkeypatch.setattr(LinkedNetwork, "read", whole)
+        servo.disarm()
+        assert not rig.motor.enabled
+    monkeypatch.setattr(LinkedNetwork, "read", lambda *_: bytes(size))
+    with pytest.raises(BadReply, match=f"{size} bytes"):
+        servo._node.objects.put(ObjectIndex(0x6080, 0), 1 << 8 * size, size)
 
 
 def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(make_cia402: Make) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from drivers.clock import Clock, VirtualClock
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import CHANNELS
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
@@ -202,6 +202,19 @@ def test_a_slow_and_late_sensor_leaves_stiffness_and_damping_what_they_are(tmp_p
     # as if every row were read when the motor was, damping would be lost in the delay
     unshifted = np.linalg.lstsq(np.column_stack([dtheta(time), rate(time)]), torque, rcond=None)[0]
     assert unshifted[1] < 0.5 * bc
+
+
+@pytest.mark.parametrize("stamps", [5.0, -1e300])
+def test_a_cell_whose_time_stands_still_is_said_to(make_recording: Maker, stamps: float) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        channels["joint_torque"] = channels["torque"]
+        channels["joint_time"] = np.full_like(channels["time"], stamps)
+
+    with (
+        Recording(make_recording(change=change)) as recording,
+        pytest.raises(Untrustworthy, match=r"0 readings of its own .* stands still"),
+    ):
+        prepare(recording, None)
 
 
 def test_a_recording_from_before_there_was_a_joint_time_is_read_as_it_is(make_recording: Maker) -> None:
