@@ -28,7 +28,6 @@ import numpy as np
 
 from drivers.servo import Command, Quantity, Sample, Servo
 from hil.acquisition import excitation, guard, run
-from hil.recording.background import complete
 from hil.recording.output import part_path
 from hil.recording.reader import Recording
 from hil.stand.file import SIMULATED, parse
@@ -147,7 +146,6 @@ def trial(path: Path, rate: float, wait: float, *, both: bool) -> Lost | None:
         return None
     while any(Path(f"/proc/{writer}/stat").exists() and not is_dead(writer) for writer in writers):
         time.sleep(2e-3)
-    complete(part_path(path))
     with Recording(part_path(path)) as recording:
         rows, sound = len(recording), recording.verify()
         sequence = recording.channel("seq")

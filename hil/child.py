@@ -1,9 +1,11 @@
-"""The command line that starts a module of hil in a process of its own."""
+"""What a second process of hil needs: the command line that starts a module of hil, and memory that both share."""
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -21,6 +23,28 @@ def command(module: str, *words: str) -> list[str]:
     searched, unless hil itself is there.
     """
     return [sys.executable, "-I", "-c", _START, os.pathsep.join(_search_path()), module, *words]
+
+
+def shared_memory(size: int) -> int:
+    """Return the descriptor of `size` bytes of memory, all zero, which a child process can inherit and map.
+
+    The memory is an open file without a name: it is in no folder, and it is released with the last process that has it
+    open. Raises OSError if there is no room for it.
+    """
+    descriptor = _nameless()
+    if os.write(descriptor, bytes(size)) != size:  # all of it now: memory that is full would end the process later
+        os.close(descriptor)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    return descriptor
+
+
+def _nameless() -> int:
+    with suppress(AttributeError, OSError):  # not Linux, or forbidden there
+        return os.memfd_create("hil")
+    import tempfile
+
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
 
 
 def _search_path() -> list[str]:

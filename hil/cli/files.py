@@ -209,19 +209,19 @@ def recover(
     force: options.Force = False,
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
-    from hil.recording.background import complete
     from hil.recording.final import finalise
     from hil.recording.output import check_ended, check_output, check_recording_name
+    from hil.recording.rescue import place_for
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
-    target = output or part.with_suffix("")
+    target = output or place_for(part.with_suffix(""))
     check_output(target, force=force, inputs=[part])
     check_recording_name(target)
     check_ended(part)
-    complete(part)
     done = finalise(part, target, force=force)
-    out(f"{target}: {done.samples} samples recovered; {part} is still there")
+    read_only = "" if output or target.parent == part.parent else ", in a folder that cannot be written"
+    out(f"{target}: {done.samples} samples recovered; {part} is still there{read_only}")
     print_diagnostics(_damage(part, done.damaged, trusted=done.trusted))
     if not done.trusted:
         raise typer.Exit(UNTRUSTWORTHY)

@@ -12,8 +12,8 @@ from dataclasses import asdict
 
 from drivers.off_path import OffPath
 from drivers.servo import DriverError
-from hil.child import command
-from hil.guardian.words import Reason, Word, new_words, now
+from hil.child import command, shared_memory
+from hil.guardian.words import SIZE, Reason, Word, Words, now
 
 _START = 20.0  # s until it must be ready; a fraction of a second is usual
 _FROZEN = 0.5  # s without its own sign of life
@@ -54,7 +54,7 @@ class Guardian:
 
     def __init__(self, path: OffPath, silence: float) -> None:
         self._silence = int(silence * 1e9)
-        self._words = new_words()
+        self._words = Words(shared_memory(SIZE))
         try:
             self._process, self._commands = self._started(path)
         except BaseException:

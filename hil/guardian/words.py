@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import tempfile
 from enum import IntEnum
 
 from drivers.clock import machine_time
@@ -66,14 +65,3 @@ class Words:
         self._words.release()
         self._memory.close()
         os.close(self.descriptor)
-
-
-def new_words() -> Words:
-    """Return new shared memory, all zero, in a file without a name."""
-    if hasattr(os, "memfd_create"):
-        descriptor = os.memfd_create("hil-guardian")
-    else:
-        with tempfile.TemporaryFile() as file:
-            descriptor = os.dup(file.fileno())
-    os.ftruncate(descriptor, SIZE)
-    return Words(descriptor)

@@ -17,11 +17,9 @@ from hil.child import command
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import Row
 from hil.recording.integrity import EVENT, LIVE, packed, packed_event
-from hil.recording.output import writing
-from hil.recording.reader import EVENTS, Recording
+from hil.recording.reader import EVENTS
 from hil.recording.ring import Ring, Shape
 from hil.recording.writer import RecordingWriter
-from hil.recording.writer_process import finish
 
 _HELD = 8.0  # s of rows that fit into the ring; the run ends when it is half full
 _FEWEST = 256  # rows
@@ -37,8 +35,9 @@ class BackgroundWriter:
 
     This object replaces the `RecordingWriter` given as `recording`, and has the same attributes. rate: of the rows, Hz.
     If the recorder is killed, the second process writes all rows that it received. If the second process is killed, the
-    recorder writes these rows. If both are killed, `complete` writes them later. If the disk does not accept rows,
-    `append` raises Untrustworthy once the memory is half full. Raises WrongUse if the process cannot be started.
+    recorder writes these rows. If both are killed, the rows that were not written are lost: those of the last 5 ms on a
+    disk that answers. If the disk does not accept rows, `append` raises Untrustworthy once the memory is half full.
+    Raises WrongUse if the process cannot be started.
     """
 
     def __init__(self, recording: RecordingWriter, rate: float) -> None:
@@ -47,7 +46,7 @@ class BackgroundWriter:
         rows = max(_FEWEST, int(_HELD * rate))
         shape = Shape(rows, LIVE.itemsize, EVENTS, EVENT.itemsize, place.rows_at, place.events_at)
         try:
-            self._ring = Ring.create(shape, recording.uid)
+            self._ring = Ring.create(shape)
         except OSError as error:
             raise WrongUse(f"there is no memory for the rows of a run ({error.strerror}): make room") from None
         self._ring.set_last_event(_LAST)
@@ -58,12 +57,11 @@ class BackgroundWriter:
         try:
             self._process = self._start(place.file)
         except BaseException:
-            self._ring.remove()
             self._ring.close()
             raise
 
     def _start(self, file: int) -> subprocess.Popen[bytes]:
-        words = command("hil.recording.writer_process", str(self._ring.file), str(self._ring.path), str(file))
+        words = command("hil.recording.writer_process", str(self._ring.file), str(file))
         process = subprocess.Popen(  # noqa: S603 - our own module
             words,
             stdin=subprocess.PIPE,
@@ -181,7 +179,6 @@ class BackgroundWriter:
             )
         try:
             self._recording.resume(self._ring)
-            self._ring.remove()
         finally:
             self._ring.close()
 
@@ -193,23 +190,3 @@ class BackgroundWriter:
                 return False
             time.sleep(_PAUSE)
         return True
-
-
-def complete(path: Path) -> None:
-    """Write the rows that are still in shared memory, because both processes were killed, into the unfinished recording
-    `path`.
-
-    Harmless if there are no such rows. Raises WrongUse and Untrustworthy as reading the recording does, and if the file
-    cannot be written.
-    """
-    with Recording(path) as recording:
-        places = recording.live_places() if recording.live else None
-        ring = Ring.left(str(recording.attributes.get("uid", ""))) if places else None
-    if ring is None:
-        return
-    try:
-        if ring.shape[1:] == (LIVE.itemsize, EVENTS, EVENT.itemsize, *(places or ())):
-            with writing(path), path.open("r+b") as file:
-                finish(ring, file.fileno())
-    finally:
-        ring.close()

@@ -229,12 +229,6 @@ class Recording:
         events = [] if self.live else self.events()
         return self._stated("sha256_header") == header_hash(self.attributes, self.profile, self.truth(), events)
 
-    def live_places(self) -> tuple[int, int]:
-        """Return the byte offsets of the rows and of the events in the file of an unfinished recording."""
-        with legible(self.path):
-            rows, events = (int(self._file[name].id.get_offset()) for name in ("live", "live_events"))
-            return rows, events
-
     def check_unchanged(self) -> None:
         """Raise Untrustworthy if the recording is not as it was written. Damaged rows of an unfinished recording are
         accepted as lost rows.

@@ -1,4 +1,4 @@
-"""Save the rows of a recording whose file was removed, renamed or replaced while it was recorded."""
+"""Save the rows of a recording whose file was removed, renamed or replaced, or whose folder became read-only."""
 
 from __future__ import annotations
 
@@ -34,6 +34,14 @@ def rescue(file: int, final: Path) -> tuple[int, Path]:
         f"{part_path(final)} was removed or replaced while it was recorded, and its rows could not be copied to "
         f"another place ({'; '.join(reasons)})"
     )
+
+
+def place_for(final: Path) -> Path:
+    """Return the path of a recovered file: `final`, or its name in the working directory, the home folder or the
+    system's temporary folder, if the folder of `final` cannot be written.
+    """
+    folders = (folder for folder in _folders(final) if os.access(folder, os.W_OK | os.X_OK))
+    return next(folders, final.parent) / final.name
 
 
 def _folders(final: Path) -> Iterator[Path]:

@@ -1,28 +1,20 @@
 """The shared memory through which rows and events pass from the control loop to the writing process.
 
-The control loop puts rows, the writing process takes rows, and neither waits for the other. The memory has a name, so
-the rows are kept if both processes die: `Ring.left` finds them. The module does not import numpy, so that the writing
-process starts quickly.
+The control loop puts rows, the writing process takes rows, and neither waits for the other. If one of the two dies, the
+other has all rows; if both die, the rows that nobody has taken are lost. The module does not import numpy, so that the
+writing process starts quickly.
 """
 
 from __future__ import annotations
 
-import errno
 import mmap
 import os
-import stat
-import tempfile
-import time
-import uuid
-from contextlib import suppress
-from pathlib import Path
+from array import array
 from typing import NamedTuple, Self
 
-from hil.recording.posix import lock
+from hil.child import shared_memory
 
 _HEADER = 128  # bytes, of 8 each
-_SHARED = "/dev/shm"  # noqa: S108 - memory
-_KEPT = 7 * 86400.0  # s that rows which nobody recovers stay in memory
 _PUT, _TAKEN, _EVENTS_PUT, _EVENTS_TAKEN, _CLOSED, _FAILURE, _SHAPE = range(7)
 
 
@@ -48,74 +40,23 @@ class Shape(NamedTuple):
 
 
 class Ring:
-    """A ring buffer in shared memory: the open `file` with the name `path`. The file is locked while a process has it
-    open.
-    """
+    """A ring buffer in the shared memory of the open file `file`."""
 
-    def __init__(self, file: int, path: Path) -> None:
+    def __init__(self, file: int) -> None:
         self.file = file
-        self.path = path
         self._memory = mmap.mmap(file, 0)
         self._numbers = memoryview(self._memory)[:_HEADER].cast("Q")
         self.shape = Shape(*self._numbers[_SHAPE : _SHAPE + len(Shape._fields)])
         self._events = _HEADER + self.shape.rows * self.shape.row
 
     @classmethod
-    def create(cls, shape: Shape, uid: str) -> Self:
-        """Return a new, empty ring for the recording `uid`. Raises OSError if there is no room for it.
-
-        Rings of old runs that nobody has recovered are removed.
-        """
-        folders = _folders()
-        for folder in folders:
-            cls._remove_old(folder)
-            path = _path(folder, uid)
-            with suppress(OSError):
-                file = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
-                try:
-                    return cls._filled(file, path, shape)
-                except OSError:
-                    path.unlink()
-                    os.close(file)
-        raise OSError(errno.ENOSPC, f"no room for {shape.size} bytes in {' or '.join(folders)}")
-
-    @classmethod
-    def _filled(cls, file: int, path: Path, shape: Shape) -> Self:
-        lock(file, shared=True)
+    def create(cls, shape: Shape) -> Self:
+        """Return a new, empty ring. Raises OSError if there is no room for it."""
+        file = shared_memory(shape.size)
         head = memoryview(bytearray(_HEADER)).cast("Q")
-        for place, number in enumerate(shape, _SHAPE):
-            head[place] = number
-        data = bytes(head) + bytes(shape.size - _HEADER)
-        if os.write(file, data) != len(data):  # all of it now: memory that is full would end the process later
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return cls(file, path)
-
-    @classmethod
-    def _remove_old(cls, folder: str) -> None:
-        for path in Path(folder).glob(_name("*")):
-            with suppress(OSError):
-                old = time.time() - path.stat().st_mtime > _KEPT
-                if old and (ring := cls.left(path.stem.partition("-")[2])):
-                    ring.remove()
-                    ring.close()
-
-    @classmethod
-    def left(cls, uid: str) -> Self | None:
-        """Return the ring of the recording `uid` if its two processes were killed; None if there is no such ring."""
-        for folder in _folders():
-            with suppress(OSError, ValueError):  # none; somebody else's; one that a process has; a name that is none
-                path = _path(folder, uid)
-                file = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
-                try:
-                    status = os.fstat(file)
-                    if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid():
-                        raise PermissionError(errno.EPERM, f"{path} is not ours")
-                    lock(file, shared=False)
-                    return cls(file, path)
-                except BaseException:
-                    os.close(file)
-                    raise
-        return None
+        head[_SHAPE : _SHAPE + len(shape)] = array("Q", shape)
+        os.pwrite(file, head, 0)
+        return cls(file)
 
     @property
     def put(self) -> int:
@@ -202,30 +143,8 @@ class Ring:
         """Declare that the operating system has the first `events` events of `events_waiting`."""
         self._numbers[_EVENTS_TAKEN] += events
 
-    def remove(self) -> None:
-        """Remove the name of the shared memory, when the operating system has everything. Harmless if it has no
-        name.
-        """
-        self.path.unlink(missing_ok=True)
-
     def close(self) -> None:
         """Release the shared memory."""
         self._numbers.release()
         self._memory.close()
         os.close(self.file)
-
-
-def _folders() -> list[str]:
-    """Return the folders for a ring: first one in memory, then one on a disk, where writing a row may have to wait."""
-    with suppress(OSError):  # no folder for temporary files can be written
-        return [_SHARED, tempfile.gettempdir()]
-    return [_SHARED]
-
-
-def _path(folder: str, uid: str) -> Path:
-    """Return the path of the ring of the recording `uid`. Raises ValueError for a `uid` that hil does not generate."""
-    return Path(folder, _name(str(uuid.UUID(uid))))
-
-
-def _name(uid: str) -> str:
-    return f"hil-{uid}.rows"

@@ -60,15 +60,14 @@ class RecordingWriter:
     of `batch` rows, so a killed process loses at most one batch. A thread flushes the file to the disk four times a
     second, so a power cut loses little more. The file is locked until it is closed, so that no other hil process
     removes it. path: of the `.part`. final: path of the finished file. moved: a sentence that says where the recording
-    is, if its file was removed or replaced during the run. uid: unique identifier of the recording. Raises WrongUse if
-    the disk has too little space for the run, NameTaken if another recording has the name.
+    is, if its file was removed or replaced during the run. Raises WrongUse if the disk has too
+    little space for the run, NameTaken if another recording has the name.
     """
 
     def __init__(self, path: Path, header: Header, length: int, *, batch: int = 10) -> None:
         self.path = part_path(path)
         self.final = path
         self.moved = ""
-        self.uid = str(uuid.uuid4())
         self._pending: list[Row] = []
         self._batch = batch
         self._rows = 0
@@ -93,7 +92,7 @@ class RecordingWriter:
         """
         self._file, temporary = new_temporary(self.path)
         try:
-            self._offset, self._event_offset = _fill_part(temporary, self.uid, header, length)
+            self._offset, self._event_offset = _fill_part(temporary, header, length)
             self._reserve(max(length, 1))
             self._file = take_name(self._file, temporary, self.path, replace=False)
         except FileExistsError:
@@ -254,12 +253,12 @@ def _taken(path: Path) -> NameTaken:
     return NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o")
 
 
-def _fill_part(path: Path, uid: str, header: Header, length: int) -> tuple[int, int]:
+def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
     """Write the header and the empty tables of a `.part` into the locked file. Return the byte offsets of the rows and
     of the events.
     """
     with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
-        _write_header(file, uid, header)
+        _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
         sign(file, header.truth, [])
         return _reserve_contiguous(file, "live", length, LIVE), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
@@ -278,9 +277,9 @@ def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype
     return int(offset)
 
 
-def _write_header(file: h5py.File, uid: str, header: Header) -> None:
+def _write_header(file: h5py.File, header: Header) -> None:
     attributes = {
-        "uid": uid,
+        "uid": str(uuid.uuid4()),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "software": json.dumps(_software()),
         "host": platform.node(),

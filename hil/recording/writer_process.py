@@ -14,7 +14,6 @@ import sys
 import threading
 import zlib
 from contextlib import suppress
-from pathlib import Path
 
 from hil.recording.posix import keep_durable
 from hil.recording.ring import Ring
@@ -44,14 +43,11 @@ def write(ring: Ring, file: int, recorder: int) -> None:
 
 
 def finish(ring: Ring, file: int) -> None:
-    """Write the rows and events that are still in `ring`, flush them to the disk, and remove the ring's name. Raises
-    OSError.
-    """
+    """Write the rows and events that are still in `ring` and flush them to the disk. Raises OSError."""
     drain(ring, file)
     if not ring.closed:
         _note_death(ring, file)
     os.fsync(file)
-    ring.remove()
 
 
 def drain(ring: Ring, file: int) -> None:
@@ -88,4 +84,4 @@ def _note_death(ring: Ring, file: int) -> None:
 if __name__ == "__main__":
     for number in _DEAF_TO:
         signal.signal(number, signal.SIG_IGN)
-    write(Ring(int(sys.argv[1]), Path(sys.argv[2])), int(sys.argv[3]), 0)
+    write(Ring(int(sys.argv[1])), int(sys.argv[2]), 0)

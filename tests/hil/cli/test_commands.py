@@ -298,6 +298,20 @@ def test_an_unfinished_recording_is_recovered(hil: Hil, tmp_path: Path) -> None:
     assert hil("recover", "a.h5.part").status == 2
 
 
+def test_an_unfinished_recording_in_a_folder_that_is_read_only_is_recovered_elsewhere(
+    hil: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    part = unfinished(there / "a.h5")
+    before = part.read_bytes()
+    monkeypatch.setattr(os, "access", lambda folder, _: folder != there)
+    ended = hil("recover", part)
+    assert (ended.status, "still there, in a folder that cannot be written" in " ".join(ended.out.split())) == (0, True)
+    assert (tmp_path / "a.h5").exists()
+    assert part.read_bytes() == before
+
+
 # --- bad input -------------------------------------------------------------------------------------------------------
 
 
