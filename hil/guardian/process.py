@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import math
 import os
 import select
 import signal
@@ -23,7 +24,7 @@ from hil.guardian.link import Send, discard_unsent, opened
 from hil.guardian.words import Reason, Word, Words, now
 
 _LOOK = 5e-3  # s between two looks at the guarded process
-_BURST = 0.2  # s during which torque-off is sent
+_BURST = 0.2  # s during which torque-off is sent after the guarded process has ended
 _SETTLE = 0.05  # s until settings are restored; a drive that writes its flash takes its time for each
 _ENDING = 0x604  # PF_SIGNALED, PF_DUMPCORE, PF_EXITING of include/linux/sched.h
 _UNKNOWN = [b"?"] + [b"0"] * 6
@@ -157,32 +158,25 @@ class Guardian:
         return before == due == self._still_since_due
 
     def fire(self, reason: Reason) -> None:
-        """Switch the torque off, and keep it off until the guarded process has ended or takes over again. Raises
-        StandDown.
+        """Send torque-off again and again until the guarded process has ended, then restore the drive's settings.
+
+        A process that was stopped may come back and send one stale set-point. Raises StandDown if it takes over.
         """
         self._words[Word.FIRED] = int(reason)
         if self._descriptor >= 0:
             discard_unsent(self._descriptor)
-        self._burst(reason)
-        while not self._parent.gone:
-            before = (self._words[Word.DUE], self._parent.stands_still())
-            self._hear(_LOOK)
-            if (self._words[Word.DUE], self._parent.stands_still()) != before:  # it came back: one stale set-point
-                self._burst(reason)
-        if reason is not Reason.GONE:
-            self._burst(Reason.GONE)
-        self._hear(_SETTLE)
-        for packet in self._restore:
-            self._try([packet])
-            self._hear(_SETTLE)
-
-    def _burst(self, reason: Reason) -> None:
-        end = time.monotonic() + _BURST
+        end = math.inf
         while time.monotonic() < end:
+            if self._parent.gone:
+                reason, end = Reason.GONE, min(end, time.monotonic() + _BURST)
             self._sent = self._try([self._resync, *self._off]) or self._sent
             if not self._said and reason is not Reason.LATE:  # a process that was late reports it
                 self._say(reason)
             self._hear(self._interval)
+        self._hear(_SETTLE)
+        for packet in self._restore:
+            self._try([packet])
+            self._hear(_SETTLE)
 
     def _try(self, packets: list[bytes]) -> bool:
         try:

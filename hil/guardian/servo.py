@@ -155,7 +155,7 @@ class GuardedServo:
             self._servo.disarm()
             return
         self._beating = False
-        if guardian.fired and math.isnan(self._off_since):
+        if guardian.fired:
             guardian.stand_down()
         if math.isnan(self._off_since):
             self._off_since = self.clock.now()
@@ -175,6 +175,7 @@ class GuardedServo:
             if math.isfinite(self._off_since):  # the torque-off was not confirmed
                 guardian.fire()
                 self._clock.sleep_until(self._clock.now() + _OTHER_WAY)
+                guardian.stand_down()
             self._servo.close()
         finally:
             guardian.close()
