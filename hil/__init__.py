@@ -17,6 +17,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from hil.standard_files import open_standard_files
+
 if TYPE_CHECKING:
     from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify, identify_each
     from hil.api.planning import DesignResult, design
@@ -56,6 +58,9 @@ _PLACES = {
     "hil.api.runs": ("Run", "record", "simulate"),
     "hil.errors": ("Untrustworthy", "WrongUse"),
 }
+
+
+open_standard_files()  # before anything of hil opens a file
 
 
 def __getattr__(name: str) -> Any:

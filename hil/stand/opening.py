@@ -14,6 +14,7 @@ from hil.guardian.servo import Watch, guarded
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
 from hil.stand.servo import StandServo
+from hil.standard_files import open_standard_files
 
 
 def open_servo(
@@ -33,6 +34,7 @@ def open_servo(
     time. watch: when a guardian switches the torque off; None: without a guardian. watched: whether the watchdog of a
     simulated drive works. Raises WrongUse, DriverError.
     """
+    open_standard_files()
     name = check_backend(stand.stand.backend)
     truth: Mapping[str, float] = {}
     if name == "sim":

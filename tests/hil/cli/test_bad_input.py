@@ -344,10 +344,7 @@ def test_a_run_whose_standard_files_are_closed_records_as_any_other(tmp_path: Pa
 def test_the_processes_of_a_run_inherit_the_standard_files_that_were_closed() -> None:
     """What libhdf5 or a guardian writes to standard error would otherwise go into the file that has this number."""
     child = "import os; os.fstat(0), os.fstat(2)"
-    program = (
-        "import subprocess, sys; from hil.cli.app import _open_standard_files; _open_standard_files(); "
-        f"print(subprocess.call([sys.executable, '-c', {child!r}]))"
-    )
+    program = f"import subprocess, sys, hil; print(subprocess.call([sys.executable, '-c', {child!r}]))"
     ended = subprocess.run(
         ["sh", "-c", 'exec "$0" -c "$1" <&- 2>&-', sys.executable, program], check=False, capture_output=True
     )

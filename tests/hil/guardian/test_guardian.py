@@ -21,6 +21,8 @@ from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoI
 from hil.guardian.handle import Guardian, GuardianFired, GuardianLost
 from hil.guardian.process import Parent
 from hil.guardian.servo import GuardedServo, Watch, guarded
+from hil.stand.file import parse
+from hil.stand.opening import open_servo
 
 from ..conftest import copied, exit_status
 
@@ -84,15 +86,15 @@ def test_without_a_sign_of_life_torque_off_is_sent_and_the_process_must_not_go_o
     assert RESTORE not in line.read()  # the process restores the settings when it closes the servo
 
 
-def test_a_late_process_that_goes_on_finds_torque_off_sent_again(line: Line) -> None:
+def test_torque_off_is_sent_until_the_guardian_is_dismissed(line: Line) -> None:
     guardian = Guardian(line.path(), silence=0.02)
     guardian.beat()
-    assert until(lambda: guardian.fired)
-    count = -1
-    while count != (count := line.read().count(OFF)):
-        time.sleep(0.1)
-    guardian.beat()
-    assert until(lambda: line.read().count(OFF) > count + 3)
+    sending = 0.3 / OffPath(()).interval  # packets, in longer than the burst that follows the end of a process
+    assert until(lambda: line.read().count(OFF) > sending)
+    guardian.stand_down()
+    count = line.read().count(OFF)
+    time.sleep(0.05)
+    assert line.read().count(OFF) == count
     guardian.close()
 
 
@@ -268,6 +270,12 @@ def test_the_state_of_a_process_is_read_behind_its_name(
     os.close(commands)
 
 
+def test_as_process_1_of_a_container_no_guardian_is_started(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    with pytest.raises(DriverError, match=r"process 1 of its container.*docker run --init.*nothing was driven"):
+        Guardian(line.path(), silence=LONG)
+
+
 # --- the servo under a guardian --------------------------------------------------------------------------------------
 
 
@@ -334,6 +342,30 @@ def test_a_setting_that_opening_has_changed_is_restored_where_the_process_dies_b
     assert exit_status(copied(die)) == -signal.SIGKILL
     assert until(lambda: line.read().endswith(RESTORE))
     assert OFF in line.seen
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)], ids=str)
+def test_a_drive_is_released_although_standard_files_were_closed(
+    line: Line, monkeypatch: pytest.MonkeyPatch, closed: tuple[int, ...]
+) -> None:
+    """The port would get the lowest of their numbers, and the guardian's pipe would replace it."""
+
+    def opened(*_: object) -> Piped:
+        line.descriptor = os.dup(line.descriptor)
+        return Piped(line)
+
+    stand = parse('[stand]\nbackend = "dynamixel"\n[dynamixel]\nport = "x"\nmodel = "xl330-m288"\n')
+
+    def drive() -> None:
+        for number in closed:
+            os.close(number)
+        servo, _ = open_servo(stand, watch=Watch(LONG))
+        servo.arm(LIMITS)
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    monkeypatch.setattr("hil.stand.opening.open_backend", opened)
+    assert exit_status(copied(drive)) == -signal.SIGKILL
+    assert until(lambda: OFF in line.read())
 
 
 def test_a_servo_whose_guardian_cannot_be_started_is_closed(line: Line) -> None:
