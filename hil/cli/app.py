@@ -42,6 +42,7 @@ from hil.cli.terminal import (
     say,
 )
 from hil.errors import Untrustworthy, WrongUse, proposing
+from hil.process_1 import leave_process_1
 from hil.stand.sentences import names_the_value, sentence
 
 app = typer.Typer(
@@ -106,7 +107,9 @@ def main() -> NoReturn:
 
     Warnings of Python libraries are hidden, because they do not help a user; `python -W` shows them.
     """
-    _open_standard_files()
+    ended = leave_process_1()
+    if ended is not None:
+        os._exit(ended)
     StopRequest.exit_follows = True
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
@@ -116,22 +119,6 @@ def main() -> NoReturn:
         status = INTERRUPTED
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(status)
-
-
-def _open_standard_files() -> None:
-    """Open those of the file descriptors 0 to 2 that were closed before the start; otherwise a recording could get one
-    of these descriptors.
-
-    Child processes inherit the descriptors: without this, their messages to standard error could go to a drive or into
-    a recording.
-    """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # takes the lowest number that is free
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 - stays open
 
 
 @cache

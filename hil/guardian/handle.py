@@ -63,6 +63,11 @@ class Guardian:
 
     def _started(self, path: OffPath) -> tuple[subprocess.Popen[bytes], int]:
         """Start the guardian's process. Return the process and the write end of the pipe to it."""
+        if os.getpid() == 1:  # of a container; the command line leaves it, another program cannot be made to
+            raise _not_started(
+                "this program is process 1 of its container, and the kernel would kill the guardian together with it: "
+                "start the container with an init, as docker run --init does"
+            )
         way = asdict(path) | {"parent": os.getpid(), "words": self._words.descriptor, "resync": path.resync.hex()}
         way |= {"off": _hex(path.off), "restore": _hex(path.restore)}
         heard, commands = os.pipe()
