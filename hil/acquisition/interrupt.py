@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import ClassVar
+
+from hil.errors import WrongUse
 
 _HARMLESS = ("SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO")  # ignored by default
 _NOT_OURS = ("SIGKILL", "SIGSTOP", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL")  # cannot be handled, or not in Python
@@ -44,8 +47,14 @@ class StopRequest:
         """Handle the signals that end a process, until the recording is on disk.
 
         A signal that is ignored stays ignored: under nohup, closing the terminal ends no run. goes_on: whether another
-        run may follow a stopped run, so that later signals are handled as well.
+        run may follow a stopped run, so that later signals are handled as well. Raises WrongUse outside the main
+        thread.
         """
+        if threading.current_thread() is not threading.main_thread():
+            raise WrongUse(
+                "hil was called outside the main thread, where Python receives no signals: Ctrl-C or a kill could not "
+                "ramp the torque down, so nothing was driven. Call it in the main thread, or in a process of its own"
+            )
         before = {number: signal.getsignal(number) for number in ending()}
         before = {number: handler for number, handler in before.items() if handler not in {signal.SIG_IGN, None}}
         try:

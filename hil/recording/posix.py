@@ -141,8 +141,9 @@ else:
         except (EOFError, pickle.UnpicklingError):  # it ended before it had answered
             return None
         finally:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+            with suppress(ProcessLookupError, ChildProcessError):  # where SIGCHLD is ignored it leaves no zombie
+                os.kill(child, signal.SIGKILL)
+                os.waitpid(child, 0)
         if refusal is not None:
             raise refusal
         return answer  # type: ignore[no-any-return]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,12 @@ def test_the_parameters_of_the_simulator_are_those_that_were_given(tmp_path: Pat
     with pytest.raises(api.WrongUse, match=r"sim\.coupling\.stifness: no such key"):
         api.simulate(tmp_path / "b.h5", sim={"coupling": {"stifness": 0.03}})
     assert not (tmp_path / "b.h5").exists()
+
+
+def test_a_run_outside_the_main_thread_is_refused_with_the_reason(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as pool, pytest.raises(api.WrongUse, match="outside the main thread, where Python"):
+        pool.submit(api.simulate, tmp_path / "a.h5").result()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_loaded_recording_has_every_channel_with_its_unit(make_recording: Maker) -> None:

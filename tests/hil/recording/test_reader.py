@@ -709,6 +709,17 @@ def test_declared_sizes_are_not_believed(tmp_path: Path, spoil: Callable[[Path],
 
 
 @pytest.mark.damaged_files
+def test_a_program_that_ignores_the_end_of_its_children_can_open_a_recording(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 5).finish("done")
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        with Recording(path) as recording:
+            assert len(recording) == 5
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
+@pytest.mark.damaged_files
 @pytest.mark.parametrize("fault", ["hangs", "crashes", "needs much memory"])
 def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
