@@ -1,15 +1,16 @@
 """Kill, stop or crash `hil record` at random instants and read from the drive's side when its torque ended.
 
 python benchmarks/killing.py --times 20 [--adapter dynamixel ...] [--signal KILL|STOP|SEGV ...] [--no-guardian]
-                             [--patient]
+                             [--start plain stdin stdout,stderr process-1 ...] [--python] [--patient]
 
 Each trial is a run against an emulated drive that answers from a process of its own, over a pty (serial port, or a
-serial CAN adapter) or over udp_multicast. The times are those of the drive's torque log (`hil emulate --log`), on the
-clock of whoever sends the signal. A stopped recorder is continued afterwards: no torque may come back. A run that ends
-by itself before its signal, as where this computer is too busy for it, is started again; with --patient late ticks end
-no run, and the torque-off is awaited for a minute. Prints a table for each drive,
-with and without its watchdog; ends with status 1 where less than 95 % are off within 50 ms, one is not within
-150 ms, or torque came back. What a kill costs in rows is measured by benchmarks/row_loss.py.
+serial CAN adapter) or over udp_multicast. --start: which of its standard files are closed when the recorder starts, or
+that it starts as process 1 of a container (root only); --python: it calls `hil.record`. The times are those of the
+drive's torque log (`hil emulate --log`), on the clock of whoever sends the signal. A stopped recorder is continued
+afterwards: no torque may come back. A run that ends by itself before its signal, as where this computer is too busy for
+it, is started again; with --patient late ticks end no run, and the torque-off is awaited for a minute. Prints a table
+for each drive, with and without its watchdog; ends with status 1 where less than 95 % are off within 50 ms, one is not
+within 150 ms, or torque came back. What a kill costs in rows is measured by benchmarks/row_loss.py.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from sim_backend.wire.torque_log import COLUMNS
 
@@ -36,7 +38,14 @@ SOON, ALWAYS, SHARE = 0.05, 0.15, 0.95
 """s within which the torque must be off, in this share of the trials and in all."""
 PATIENCE = 60.0  # s for a run to begin or to end; a busy computer needs some
 SETTLED = 1.0  # s after which a drive that is still on stays on, and after which its settings are restored
-HIL = "from hil.cli.app import main; "
+STANDARD = ("stdin", "stdout", "stderr")
+CLI = "from hil.cli.app import main; main()"
+PYTHON = (
+    "import sys, hil; words = dict(zip(sys.argv[2::2], sys.argv[3::2])); "
+    "hil.record(words['--stand'], words['--profile'], output=words['-o'], duration=float(words['--duration']), "
+    "rate=float(words['--rate']), band=(2.0, 2.0), fade=float(words['--fade']), amplitude=float(words['--amplitude']), "
+    "guardian='--no-guardian' not in sys.argv)"
+)
 UNHURRIED = (
     "from hil.acquisition import guard, recorder; guard._LATE_RAMP = guard._LATE_OFF = recorder._TOO_LONG = 60.0; "
 )
@@ -122,6 +131,13 @@ temperature = 80.0
 """
 
 
+class How(NamedTuple):
+    """The name of a signal without SIG, and how the recorder that gets it is started: see `started_by`."""
+
+    signal: str
+    start: str
+
+
 @dataclass(frozen=True, slots=True)
 class Trial:
     """off: s from the signal to the end of the torque, infinity where it went on. again: whether torque came back."""
@@ -185,40 +201,51 @@ def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
             process.kill()
 
 
+def started_by(start: str) -> list[str]:
+    """Return the words that start the words behind them: "plain", as process 1, or with standard files closed."""
+    if start == "plain":
+        return []
+    if start == "process-1":
+        return ["unshare", "--pid", "--fork", "--mount-proc"]
+    closed = " ".join(f"{STANDARD.index(name)}>&-" for name in start.split(","))
+    return ["sh", "-c", f'exec "$0" "$@" {closed}']
+
+
+def recorder_of(process: int) -> int:
+    """Return the process that records, where `process` has started it behind a process 1 of its own."""
+    for _ in range(2):
+        process = int(Path(f"/proc/{process}/task/{process}/children").read_text().split()[0])
+    return process
+
+
 def recorded(
-    adapter: Adapter, stand: Path, output: Path, rate: float, *, guardian: bool, patient: bool
+    adapter: Adapter, stand: Path, output: Path, start: str, settings: argparse.Namespace
 ) -> subprocess.Popen[bytes]:
-    """Start `hil record` with a sine of 2 Hz. patient: late ticks do not end it."""
+    """Start `hil record` with a sine of 2 Hz, or `hil.record`."""
     sine = ["--profile", "sine", "--band", "2", "--fade", "0.2", "--amplitude", str(0.45 * adapter.torque)]
-    program = f"{UNHURRIED if patient else ''}{HIL}main()"
+    program = f"{UNHURRIED if settings.patient else ''}{PYTHON if settings.python else CLI}"
     words = [sys.executable, "-c", program, "record", "--stand", str(stand), "-o", str(output), "--duration", "60"]
-    words += ["--rate", str(rate), *sine, *([] if guardian else ["--no-guardian"])]
+    words += ["--rate", str(settings.rate), *sine, *(["--no-guardian"] if settings.no_guardian else [])]
     with output.with_suffix(".log").open("wb") as errors:
-        return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=errors)
+        return subprocess.Popen([*started_by(start), *words], stdout=subprocess.DEVNULL, stderr=errors)
 
 
 class EndedBefore(Exception):
     """A run ended by itself before its signal, or was about to: its torque was off."""
 
 
-def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argparse.Namespace) -> Trial:
-    """Start a run, send it the signal `word` `wait` s after its torque has begun, and look at the drive."""
+def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argparse.Namespace) -> Trial:
+    """Start a run, send it a signal `wait` s after its torque has begun, and look at the drive."""
     log, threshold = Log(output.parent / "torque.csv"), 0.25 * adapter.torque
     begun = time.monotonic()
-    process = recorded(
-        adapter,
-        output.parent / "stand.toml",
-        output,
-        settings.rate,
-        guardian=not settings.no_guardian,
-        patient=settings.patient,
-    )
+    process = recorded(adapter, output.parent / "stand.toml", output, how.start, settings)
     try:
         await_torque(log, process, begun, threshold)
         time.sleep(wait)
         if process.poll() is not None:
             raise EndedBefore
-        process.send_signal(getattr(signal, f"SIG{word}"))
+        recorder = recorder_of(process.pid) if how.start == "process-1" else process.pid
+        os.kill(recorder, getattr(signal, f"SIG{how.signal}"))
         sent = time.monotonic()
         while settings.patient and math.isinf(log.ended(sent)[0]) and time.monotonic() < sent + PATIENCE:
             time.sleep(0.05)
@@ -226,8 +253,8 @@ def trial(adapter: Adapter, output: Path, word: str, wait: float, settings: argp
         if log.off_at(sent):
             raise EndedBefore
         off = log.ended(sent)[0] - sent
-        if word == "STOP":
-            process.send_signal(signal.SIGCONT)
+        if how.signal == "STOP":
+            os.kill(recorder, signal.SIGCONT)
             process.wait(PATIENCE)
         return Trial(off, log.ended(sent)[1])
     finally:
@@ -243,9 +270,9 @@ def await_torque(log: Log, process: subprocess.Popen[bytes], begun: float, torqu
         time.sleep(0.02)
 
 
-def measured(adapter: Adapter, word: str, settings: argparse.Namespace) -> list[Trial]:
+def measured(adapter: Adapter, how: How, settings: argparse.Namespace) -> list[Trial]:
     """Return the trials with one drive and one signal. Raises RuntimeError where its runs do not begin."""
-    rng = random.Random(f"{settings.seed} {adapter.name} {word}")  # noqa: S311 - no secret
+    rng = random.Random(f"{settings.seed} {adapter.name} {how.signal}")  # noqa: S311 - no secret
     trials: list[Trial] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -254,7 +281,7 @@ def measured(adapter: Adapter, word: str, settings: argparse.Namespace) -> list[
             for number in range(10 + 3 * settings.times):
                 output = folder / f"run{number}.h5"
                 with suppress(EndedBefore):
-                    trials.append(trial(adapter, output, word, rng.uniform(0.0, 0.8), settings))
+                    trials.append(trial(adapter, output, how, rng.uniform(0.0, 0.8), settings))
                 if len(trials) == settings.times:
                     return trials
         raise RuntimeError(f"{adapter.name}: {output.with_suffix('.log').read_text(encoding='utf-8')}")
@@ -272,15 +299,15 @@ def prepare(adapter: Adapter, folder: Path, link: Path) -> None:
     (folder / "stand.toml").write_text(text)
 
 
-def row(adapter: Adapter, word: str, trials: list[Trial]) -> tuple[str, bool]:
+def row(adapter: Adapter, how: How, trials: list[Trial]) -> tuple[str, bool]:
     """Return a line of the table, and whether it holds the bar."""
     offs = sorted(one.off for one in trials)
     soon, always = (sum(off <= bar for off in offs) for bar in (SOON, ALWAYS))
     again = sum(one.again for one in trials)
     good = soon >= SHARE * len(offs) and always == len(offs) and not again
     cells = [
-        adapter.name,
-        word,
+        adapter.name if how.start == "plain" else f"{adapter.name}; {how.start}",
+        how.signal,
         str(len(offs)),
         f"{statistics.median(offs) * 1e3:.1f}",
         f"{offs[-1] * 1e3:.1f}" if math.isfinite(offs[-1]) else "stays on",
@@ -312,6 +339,8 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=20, help="trials for each drive and signal")
     parser.add_argument("--adapter", nargs="*", default=[], help="drives whose name begins so (all)")
     parser.add_argument("--signal", nargs="*", default=["KILL"], help="KILL, STOP, SEGV, ...: names without SIG")
+    parser.add_argument("--start", nargs="*", default=["plain"], help="plain, stdin, stdin,stdout, ..., process-1")
+    parser.add_argument("--python", action="store_true", help="by hil.record instead of hil record")
     parser.add_argument("--rate", type=float, default=100.0, help="Hz")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-guardian", action="store_true", help="to see what the drives do by themselves")
@@ -322,8 +351,8 @@ def main() -> int:
     print(f"{settings.times} trials each, {settings.rate:g} Hz, load {os.getloadavg()[0]:.1f}\n\n{HEAD}", flush=True)
     held = True
     for adapter in chosen:
-        for word in settings.signal:
-            line, good = row(adapter, word, measured(adapter, word, settings))
+        for how in (How(word, start) for start in settings.start for word in settings.signal):
+            line, good = row(adapter, how, measured(adapter, how, settings))
             held = held and good
             print(line, flush=True)
     print("\nheld" if held else "\nBREACH")

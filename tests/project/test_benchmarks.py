@@ -85,10 +85,20 @@ def test_a_changed_byte_of_a_recording_is_noticed_or_has_no_effect() -> None:
         assert outcome in done.stdout
 
 
-@pytest.mark.parametrize(("adapter", "signal"), [("dynamixel X, no watchdog", "KILL"), ("odrive, no watchdog", "STOP")])
-def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog(adapter: str, signal: str) -> None:
+@pytest.mark.parametrize(
+    ("adapter", "signal", "more"),
+    [
+        ("dynamixel X, no watchdog", "KILL", []),
+        ("odrive, no watchdog", "STOP", []),
+        ("dynamixel X, no watchdog", "KILL", ["--start", "process-1"]),
+        ("dynamixel X, no watchdog", "KILL", ["--start", "stdin,stdout,stderr", "--python"]),
+    ],
+)
+def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog(
+    adapter: str, signal: str, more: list[str]
+) -> None:
     # runs in real time, since a process can only be killed there
-    words = ["--times", "1", "--patient", "--adapter", adapter, "--signal", signal]
+    words = ["--times", "1", "--patient", "--adapter", adapter, "--signal", signal, *more]
     done = subprocess.run(
         [sys.executable, "benchmarks/killing.py", *words],
         cwd=ROOT,
@@ -98,7 +108,8 @@ def test_killing_the_recorder_leaves_no_torque_on_a_drive_without_a_watchdog(ada
         check=False,
     )
     rows = [line.strip("| ").split(" | ") for line in done.stdout.splitlines() if "| 1 |" in line]
-    assert [row[:2] for row in rows] == [[adapter, signal]], done.stderr
+    drive = f"{adapter}; {more[1]}" if more else adapter
+    assert [row[:2] for row in rows] == [[drive, signal]], done.stderr
     assert [(row[2], row[4] != "stays on", row[7]) for row in rows] == [("1", True, "0")]
 
 
