@@ -32,7 +32,7 @@ X_MODELS = [f"xl330-m{n}" for n in ("077", "288")] + ["xc330-t181", "xc330-t288"
 X_MODELS += ["xl430-w250", "xm430-w210", "xm430-w350", "xm540-w150", "xm540-w270"]
 MX_MODELS = ["mx-64", "mx-106"]
 LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xm430-w350", "xm540-w270"]
-FEETECH_MODELS = ["sts3215", "sts3250", "hls3606m", "hls2915m", "hls3930m", "scs0009"]
+FEETECH_MODELS = ["sts3032", "sts3215", "sts3250", "hls3606m", "hls2915m", "hls3915m", "hls3930m", "hls3950m", "scs0009"]
 ROBSTRIDE = [f"rs0{n}" for n in range(7)]
 DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
 

@@ -38,6 +38,7 @@ VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of Hardware Error Status(70)."""
 
 _PWM_LSB = 1.0 / 885.0
+_TOGETHER = frozenset(number for number in Instruction if number >= Instruction.SYNC_READ)
 
 
 class DynamixelDevice:
@@ -90,7 +91,7 @@ class DynamixelDevice:
             get("return_delay_time") * 2e-6,
             get("status_return_level"),
             get("secondary_id"),
-            sync_reads=True,
+            _TOGETHER,
         )
 
     @property

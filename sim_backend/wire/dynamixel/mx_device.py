@@ -75,7 +75,9 @@ class MxDevice:
         get = self.get
         code = get("baud_rate")
         baudrate = MX_BAUD.get(code, 2_000_000 // (code + 1))
-        return LineSettings(get("id"), baudrate, get("return_delay_time") * 2e-6, get("status_return_level"))
+        together = frozenset({Instruction.SYNC_WRITE, Instruction.BULK_READ})
+        delay = get("return_delay_time") * 2e-6
+        return LineSettings(get("id"), baudrate, delay, get("status_return_level"), together=together)
 
     @property
     def torque_on(self) -> bool:
