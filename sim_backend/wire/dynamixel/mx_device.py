@@ -177,7 +177,9 @@ class MxDevice:
         """
         changes: list[tuple[Item, int]] = []
         for item, raw in self.registers.covered(address, data):
-            locked = item is not None and item.address < MX_EEPROM_END and self.get("lock") == 1
+            # the lock is among what it locks: only a loss of power clears it
+            kept = item is not None and (item.address < MX_EEPROM_END or item.name == "lock")
+            locked = kept and self.get("lock") == 1
             if item is None or not item.writable or locked or len(raw) < item.size:
                 return MX_RANGE, []
             value = self.registers.decoded(item, raw)
