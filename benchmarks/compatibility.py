@@ -32,7 +32,7 @@ from sim_backend.wire.feetech.tables import MODELS as FEETECH_MODELS  # noqa: E4
 
 BAUD = 1_000_000
 UNKNOWN = "model not known to it"
-LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xm430-w350", "xm540-w270"]
+LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xc430-w150", "xm430-w350", "xm540-w270"]
 ROBSTRIDE = [f"rs0{n}" for n in range(7)]
 DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
 

@@ -131,7 +131,8 @@ class Axis:
             return garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
         return NoReply(
             f"no ODrive axis {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check "
-            "its power, the wiring and its termination, the node id, and the bit rate (250000 in a new drive)"
+            "its power, the wiring and its termination, the node id (the identifier of its heartbeat divided by 32), "
+            "and the bit rate (250000 in a new drive)"
         )
 
 

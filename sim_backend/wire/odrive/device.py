@@ -274,7 +274,7 @@ class OdriveDevice:
         reply = self.endpoints.sdo(data, confirms=int(self.firmware.split(".")[2]) >= 11)
         if requested := int(self.endpoints.get(_REQUEST)):
             self.endpoints.put(_REQUEST, 0)
-            self._request_state(requested, now)
+            self._request_state(requested)
         for kind in self._next:  # a period may have been changed
             self._next[kind] = min(self._next[kind], now + self._period(kind))
         return [] if reply is None else [self._frame(0x05, reply)]
@@ -288,7 +288,7 @@ class OdriveDevice:
             case 0x02:
                 self.fail(ESTOP[self.layout])
             case 0x07:
-                self._request_state(words[0], now)
+                self._request_state(words[0])
             case 0x0C:
                 self._position, velocity, torque = _INPUT_POS.unpack(data)
                 self._velocity, self._torque = velocity * 1e-3, torque * 1e-3
@@ -329,14 +329,14 @@ class OdriveDevice:
             turns = first if self.layout == "0.6" else (words[0] - (words[0] >> 31 << 32)) / COUNTS
             self._offset = self.motor.position - turns * TURN
 
-    def _request_state(self, state: int, now: float) -> None:
+    def _request_state(self, state: int) -> None:
         """End what runs and begin `state`; 0 requests nothing."""
         if state == 0 or (state == IDLE and self.ignores_idle):
             return
         old = self.layout == "0.5"
         self.errors &= ~_INVALID_STATE if old else ~0
         self.motor.disable()
-        self._procedures.begin(state, now, calibrated=self.calibrated)
+        self._procedures.begin(state, self._powered + self.motor.time, calibrated=self.calibrated)
         self.state = self._procedures.state
         if state == CLOSED_LOOP and (self.errors or not self.calibrated):
             self._procedures.result = NOT_CALIBRATED if not self.calibrated else DISARMED

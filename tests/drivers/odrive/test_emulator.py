@@ -191,9 +191,9 @@ def test_a_state_that_the_axis_cannot_enter_ends_closed_loop_too(request_: int, 
     for firmware in FIRMWARES:
         device = driven(firmware)
         tell(device, STATE, struct.pack("<I", request_))
-        errors, state, told = heartbeat(device, 0.2)
+        errors, state, outcome = heartbeat(device, 0.2)
         assert (state, device.motor.enabled) == (IDLE, False)
-        assert (errors, told) == ((error, 0) if firmware == "0.5.6" else (0, result))
+        assert (errors, outcome) == ((error, 0) if firmware == "0.5.6" else (0, result))
     tell(device, STATE, struct.pack("<I", 0))
     assert device.state == IDLE
 
