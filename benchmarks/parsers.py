@@ -45,9 +45,10 @@ from hil.calibration.points import read_points
 from hil.campaign import plan
 from hil.campaign.journal import NAME, Journal
 from hil.errors import Untrustworthy, WrongUse
-from hil.exchange import bags, delimited, matlab, plotjuggler
+from hil.exchange import bags, delimited, plotjuggler
 from hil.exchange.coupling import of_result
 from hil.exchange.exporter import export
+from hil.exchange.readers import formats
 from hil.exchange.row_filter import RowFilter
 from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
@@ -286,7 +287,7 @@ PARSERS: dict[str, Parser] = {
         is_text=True,
     ),
     "mat": Parser(
-        _file("t.mat", matlab.vectors),
+        _file("t.mat", lambda path: formats.columns(path, None, None)),
         (
             _bytes_of(lambda path: savemat(path, {"t": _T, "s": {"q": _T}}), "seed.mat"),
             _bytes_of(lambda path: savemat(path, {"t": _T}, do_compression=True), "packed.mat"),

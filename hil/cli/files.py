@@ -14,7 +14,7 @@ from hil.errors import WrongUse
 
 if TYPE_CHECKING:
     from hil.diagnostics import Diagnostic
-    from hil.exchange.importer import Column
+    from hil.exchange.importer import Column, Imported
 
 
 def inspect(
@@ -87,14 +87,11 @@ def _verify(path: Path, *, as_json: bool) -> None:
 
 
 def import_data(
-    source: Annotated[
-        Path,
-        typer.Argument(help="CSV, .csv.gz, .parquet, .mat, or a ROS 2 bag: .mcap, .db3, folder."),
-    ],
+    source: Annotated[Path, typer.Argument(help="CSV, .xlsx, .parquet, .h5, .mat, .npz, JSON, .tdms; a ROS bag.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="The recording to write.")],
     time: Annotated[str | None, typer.Option(help="Column of the time; not needed for a file of hil export.")] = None,
     torque: Annotated[str | None, typer.Option(help="Column of the torque at the joint.")] = None,
-    dtheta: Annotated[str | None, typer.Option(help="Column of the deflection.")] = None,
+    dtheta: Annotated[str | None, typer.Option(help="Column of the deflection, or 'motor/20 - joint'.")] = None,
     dtheta_dot: Annotated[str | None, typer.Option(help="Column of its rate [default: from the deflection].")] = None,
     motor_torque: Annotated[str | None, typer.Option(help="Column of the motor's torque (with --stand).")] = None,
     motor_position: Annotated[str | None, typer.Option(help="Column of the motor's position (with --stand).")] = None,
@@ -108,22 +105,28 @@ def import_data(
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
     command_scale: Annotated[float, typer.Option(help="Multiply the set-point.")] = 1.0,
-    topic: Annotated[str | None, typer.Option(help="For a ROS 2 bag or PlotJuggler's CSV: /joint_states.")] = None,
+    topic: Annotated[str | None, typer.Option(help="A bag's or PlotJuggler's topic; a workbook's sheet.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[
-        list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'test_nr==100'; repeat for several.")
+        list[str] | None,
+        typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100', 'state==run'; repeat for several."),
     ] = None,
+    first: Annotated[str | None, typer.Option("--from", help="First time, as the file has it: 12.5, 12:30:00.")] = None,
+    last: Annotated[str | None, typer.Option("--to", help="Last time.")] = None,
+    join: Annotated[Path | None, typer.Option(help="A second file of the run, such as the torque cell's.")] = None,
+    join_time: Annotated[str | None, typer.Option(help="Column of its time [default: as --time].")] = None,
+    shared_clock: Annotated[bool, typer.Option("--shared-clock", help="Both files have one clock.")] = False,
     stand: options.StandFile = None,
     force: options.Force = False,
 ) -> None:
-    """Make a recording from a table: CSV, Parquet, MATLAB, or a file of hil export."""
+    """Make a recording from a table of another program, or from a file of hil export."""
     from hil.exchange.importer import import_table
     from hil.exchange.row_filter import RowFilter
+    from hil.exchange.wanted.join import Join
     from hil.recording.output import check_output, check_recording_name, check_unfinished
-    from hil.report.formatting import duration
     from hil.stand.file import load
 
-    check_output(output, force=force, inputs=[source] if stand is None else [source, stand])
+    check_output(output, force=force, inputs=[one for one in (source, stand, join) if one is not None])
     check_unfinished(check_recording_name(output))
     done = import_table(
         source,
@@ -136,13 +139,23 @@ def import_data(
         [RowFilter.parse(text) for text in where or ()],
         topic=topic,
         joint=joint,
+        join=None if join is None else Join(join, join_time, shared_clock),
+        between=(first, last),
         stand=None if stand is None else load(stand),
         command_line=command_line(),
         force=force,
     )
+    _say_imported(output, done)
+
+
+def _say_imported(output: Path, done: Imported) -> None:
+    from hil.report.formatting import duration
+
     out(f"{output}: {done.samples} samples over {duration(done.duration)}; {done.ranges}")
     if done.units:
         detail("read " + ", ".join(f"{channel} in {unit}" for channel, unit in done.units.items()))
+    if done.said:
+        detail(done.said)
     print_diagnostics(done.diagnostics)
 
 

@@ -23,7 +23,7 @@ from hil.recording.input import bounded, open_input
 
 Array = NDArray[np.float64]
 
-SUFFIXES = frozenset({".mcap", ".db3"})
+SUFFIXES = frozenset({".mcap", ".db3", ".bag"})
 JOINT_STATE = "sensor_msgs/msg/JointState"
 SAMPLE = "hil_msgs/msg/Sample"
 """The type of the messages that `hil export` writes: each channel is a field."""
@@ -123,6 +123,11 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
     topic = _topic(source, kinds, topic)
     messages = _messages(reader, topic)
     kind = kinds[topic]
+    if kind not in reader.typestore.types:
+        raise WrongUse(
+            f"{source} lacks the definition of {kind}, the type of {topic}, so no message can be read: convert "
+            "the bag to MCAP, which keeps definitions, where the type is installed: ros2 bag convert"
+        )
     if kind == JOINT_STATE:
         return _of_joint(source, topic, messages, joint)
     if joint is not None:

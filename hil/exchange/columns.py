@@ -1,23 +1,22 @@
-"""Read named columns from the table in a file: CSV, Parquet, MATLAB or a ROS 2 bag."""
+"""Read named columns from the table in a file, whatever its format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, meant
-from hil.exchange import bags, delimited, headings, matlab, plotjuggler
+from hil.exchange import bags, delimited, headings, plotjuggler
+from hil.exchange.readers import formats
+from hil.exchange.readers.columns import numbers
 from hil.exchange.row_filter import RowFilter
-from hil.recording.input import bounded, open_input
-
-_LARGEST = 1 << 36  # bytes of a file
+from hil.recording.input import bounded
 
 Answer = TypeVar("Answer")
 Array = NDArray[np.float64]
@@ -45,6 +44,18 @@ class Table:
         """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
         return place(self.source, self.titles, name)
 
+    def with_sum(self, title: str, factors: Sequence[tuple[int, float]]) -> Table:
+        """Return the table with a further column `title`: the sum of columns, by index, with their factors."""
+
+        def read(wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
+            own = [at for at in wanted if at < len(self.titles)]
+            found, rows = self.reader([*own, *(at for at, _ in factors)], filters)
+            total = sum(factor * values for (_, factor), values in zip(factors, found[len(own) :], strict=True))
+            columns = iter(found[: len(own)])
+            return np.stack([next(columns) if at < len(self.titles) else total for at in wanted]), rows
+
+        return replace(self, titles=[*self.titles, title], reader=read)
+
     def read(self, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
         """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and the row numbers, (n,).
 
@@ -68,17 +79,21 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
         return _whole(source, _Columns(list(found), lambda names: [found[name] for name in names]))
-    if source.suffix.lower() in {".h5", ".hdf5", ".part"}:
-        raise WrongUse(f"{source} is HDF5 by its name: a recording of hil needs no import; save other HDF5 as CSV")
-    if source.suffix.lower() in _FILES and topic is None and joint is None:
-        return _whole(source, _columns(source))
-    written = _bounded_if_packed(source, partial(delimited.titles, source))
+    if (found := formats.columns(source, topic, joint)) is not None:
+        return _whole(source, _Columns(*found))
+    with formats.as_text(source, topic) as text:
+        written = _bounded_if_packed(text, partial(delimited.titles, text))
+    if text != source:
+        return Table(source, written, partial(_read_text, source, topic))
     titles = plotjuggler.renamed(source, written, topic, joint)
-    return Table(source, titles, partial(_read_text, source), joins_topics=plotjuggler.TIME in written)
+    return Table(source, titles, partial(_read_text, source, None), joins_topics=plotjuggler.TIME in written)
 
 
-def _read_text(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
-    return _bounded_if_packed(source, partial(delimited.read, source, wanted, filters))
+def _read_text(
+    source: Path, sheet: str | None, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
+) -> tuple[Array, Rows]:
+    with formats.as_text(source, sheet) as text:
+        return _bounded_if_packed(text, partial(delimited.read, text, wanted, filters))
 
 
 def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
@@ -107,21 +122,24 @@ def _read_whole(
     known = columns.names
     needed = list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
     found = columns.read([known[at] for at in needed])
-    numbers = {at: _numbers(source, known[at], values) for at, values in zip(needed, found, strict=True)}
-    lengths = {known[at]: len(values) for at, values in numbers.items()}
+    read = dict(zip(needed, found, strict=True))
+    lengths = {known[at]: len(values) for at, values in read.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise WrongUse(f"{source}: columns of unequal length ({listed}): name columns of one table")
     kept = np.ones(next(iter(lengths.values())), dtype=np.bool_)
     for at, one in filters:
-        kept &= one.mask(numbers[at])
-    return np.stack([numbers[at][kept] for at in wanted]), np.flatnonzero(kept) + 1
+        kept &= one.mask(
+            np.asarray(read[at]).astype(str) if isinstance(one.value, str) else _numbers(source, known[at], read[at])
+        )
+    return np.stack([_numbers(source, known[at], read[at])[kept] for at in wanted]), np.flatnonzero(kept) + 1
 
 
 def _numbers(source: Path, name: str, values: Any) -> Array:
-    if np.asarray(values).dtype.kind not in "fiub":
+    found = numbers(values)
+    if found is None:
         raise WrongUse(f"{source}: column {name!r} does not hold numbers")
-    return np.asarray(values, dtype=np.float64)
+    return found
 
 
 class _Columns(NamedTuple):
@@ -129,52 +147,3 @@ class _Columns(NamedTuple):
 
     names: list[str]
     read: Callable[[Sequence[str]], list[Any]]
-
-
-def _columns(source: Path) -> _Columns:
-    open_input(source, largest=_LARGEST).close()
-    opened = partial(_FILES[source.suffix.lower()], source)
-    return _Columns(
-        bounded(source, lambda: opened().names), lambda names: bounded(source, lambda: opened().read(names))
-    )
-
-
-def parquet(path: Path) -> ModuleType:
-    """Return the module of pyarrow that reads and writes Parquet. path: the file, for messages. Raises WrongUse if
-    pyarrow is not installed.
-    """
-    try:
-        import pyarrow.parquet
-    except ImportError:
-        raise WrongUse(f"{path}: Parquet needs pyarrow: pip install 'hil[parquet]', or use CSV") from None
-    found: ModuleType = pyarrow.parquet
-    return found
-
-
-def _parquet(source: Path) -> _Columns:
-    module = parquet(source)
-    try:
-        file = module.ParquetFile(source)
-        names = list(file.schema_arrow.names)
-    except (OSError, ValueError) as error:  # pyarrow's own errors are of these two
-        raise WrongUse(f"{source} is not Parquet, or is cut off ({_first_line(error)})") from None
-
-    def read(names: Sequence[str]) -> list[Any]:
-        try:
-            return [file.read(columns=[name]).column(name).to_numpy() for name in names]
-        except (OSError, ValueError) as error:
-            raise WrongUse(f"{source} is damaged ({_first_line(error)}): use another copy of the file") from None
-
-    return _Columns(names, read)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [""])[0]
-
-
-def _matlab(source: Path) -> _Columns:
-    vectors = matlab.vectors(source)
-    return _Columns(list(vectors), lambda names: [vectors[name] for name in names])
-
-
-_FILES: Mapping[str, Callable[[Path], _Columns]] = {".parquet": _parquet, ".pq": _parquet, ".mat": _matlab}

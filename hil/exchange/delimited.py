@@ -12,7 +12,6 @@ import zlib
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
 from functools import partial
 from io import BufferedReader, TextIOWrapper
 from itertools import chain
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.exchange.headings import is_unit
+from hil.exchange.readers.columns import seconds
 from hil.exchange.row_filter import RowFilter
 from hil.recording.input import open_input
 
@@ -39,6 +39,7 @@ _PREAMBLE = 200  # lines that are searched for the headings
 _SHOWN = 40  # characters of a bad cell that are quoted
 _EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
 _NO_UNIT = frozenset({"", "-", "1"})
+_QUOTED = re.compile(r'"[^"]*"')
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}")
 
@@ -70,7 +71,10 @@ def read(source: Path, wanted: Sequence[int], filters: Sequence[tuple[int, RowFi
                 row.pop()
             if len(row) != len(names):
                 raise WrongUse(_unequal(source, line, row, names, delimiter))
-            if all(one.keeps(cells.number(line, at, row[at])) for at, one in filters):
+            if all(
+                one.keeps(row[at].strip() if isinstance(one.value, str) else cells.number(line, at, row[at]))
+                for at, one in filters
+            ):
                 for column, at in zip(kept, wanted, strict=True):
                     column.append(cells.number(line, at, row[at]))
                 lines.append(line)
@@ -133,7 +137,7 @@ def _header(source: Path, text: TextIO) -> _Header:
     if units := _units("".join(top[height : height + 1]), delimiter, len(names)):
         names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
         height += 1
-    dates = frozenset(place for place, cell in enumerate(row) if _seconds(cell) is not None)
+    dates = frozenset(place for place, cell in enumerate(row) if seconds(cell) is not None)
     names = [f"{name} [s]" if place in dates else name for place, name in enumerate(names)]
     return _Header(names, delimiter, height, dates, chain(top[height:], below))
 
@@ -192,7 +196,7 @@ def _next_row(lines: Sequence[str], delimiter: str) -> list[str]:
     for line in lines:
         cells = _fields(line, delimiter)
         if any(map(_is_number, cells)):
-            return cells if _is_number(cells[0]) or _seconds(cells[0]) is not None else []
+            return cells if _is_number(cells[0]) or seconds(cells[0]) is not None else []
         if any(cells) and not _units(line, delimiter, len(cells)):
             return []
     return []
@@ -212,6 +216,7 @@ def _delimiter(line: str) -> str:
     for sure in ";\t":
         if sure in line and all(_is_number(cell) for cell in line.split(sure) if cell.strip()):
             return sure
+    line = _QUOTED.sub("", line)
     found = max(",;\t", key=line.count)
     return found if found in line else " "
 
@@ -236,19 +241,6 @@ def _split(source: Path, line: str, delimiter: str) -> list[str]:
         return [name.strip() for name in next(_reader([line], delimiter), [])]
     except csv.Error as error:
         raise WrongUse(f"{source}, row 1: {_csv_error(error)}") from None
-
-
-def _seconds(text: str) -> float | None:
-    """Return a date with a time of day, or a time of day alone (ISO 8601), in s; None if the text is neither."""
-    if ":" not in text:
-        return None
-    for written in (text.strip(), f"1970-01-01 {text.strip()}"):
-        try:
-            date = datetime.fromisoformat(written)
-            return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-        except ValueError:
-            continue
-    return None
 
 
 def _is_number(text: str) -> bool:
@@ -331,7 +323,7 @@ class _Cells:
                 raise ValueError  # only Python separates thousands so
             value = float(text)
         except ValueError:
-            date = _seconds(text) if at in self._dates else None
+            date = seconds(text) if at in self._dates else None
             return self._with_comma(line, at, text) if date is None else date
         if not self._point and "." in text:
             self._point = self._place(line, at, text)

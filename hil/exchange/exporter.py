@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 from hil.errors import WrongUse, meant
 from hil.exchange import models
 from hil.exchange.bags import JOINT_STATE, SAMPLE
-from hil.exchange.columns import parquet
 from hil.exchange.coupling import Coupling
 from hil.exchange.headings import heading
+from hil.exchange.readers.arrow import parquet
 from hil.recording.channels import CHANNELS, ROW
 from hil.recording.output import atomic_write
 from hil.recording.reader import Recording

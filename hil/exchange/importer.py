@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,46 +13,24 @@ from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.columns import Table, open_table
-from hil.exchange.command import MODES, check_command, dimension_of_command, held
-from hil.exchange.headings import bracketed_text, heading, listed, unit_of
+from hil.exchange.command import MODES, check_command, held
+from hil.exchange.headings import heading, listed
 from hil.exchange.row_filter import RowFilter
+from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, of_two, units_of, with_sums
+from hil.exchange.wanted.interval import rows_between
+from hil.exchange.wanted.join import Join
 from hil.recording.channels import CHANNELS
 from hil.recording.writer import Header, write
 from hil.signals.plausibility import GROSS, Swing, excess, implausible, in_words
 from hil.stand.file import Stand
 from hil.stand.transmission import Transmission, Zero
 
-Array = NDArray[np.float64]
+__all__ = ["Column", "Imported", "import_table"]
 
-DIMENSION: Mapping[str, str] = MappingProxyType(
-    {
-        "time": "time",
-        "torque": "torque",
-        "dtheta": "angle",
-        "dtheta_dot": "rate",
-        "motor_torque": "torque",
-        "motor_position": "angle",
-    }
-)
-"""The channels for which a column can be named, and the dimension of each. The dimension of the command depends on its
-column.
-"""
+Array = NDArray[np.float64]
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """The column of a table from which a channel is imported.
-
-    name: of the column. unit: None: the unit in the heading ("tau [mN m]", "tau_mNm", "tau/mNm"). scale: a further
-    factor on the values; -1 inverts the sign.
-    """
-
-    name: str
-    unit: str | None = None
-    scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +46,7 @@ class Imported:
     units: Mapping[str, str]
     ranges: str
     diagnostics: tuple[Diagnostic, ...]
+    said: str = ""
 
 
 @np.errstate(all="ignore")  # the numbers of a table may be anything; those that are not finite are missing
@@ -81,33 +58,32 @@ def import_table(
     *,
     topic: str | None = None,
     joint: str | None = None,
+    join: Join | None = None,
+    between: tuple[str | None, str | None] = (None, None),
     stand: Stand | None = None,
     command_line: str = "",
     force: bool = False,
 ) -> Imported:
-    """Write a recording from the rows of a table that pass every filter: CSV, .csv.gz, Parquet, .mat or a ROS 2 bag.
+    """Write a recording from the rows of a table that pass every filter.
 
     columns: for each channel its column (see DIMENSION): time; torque or motor_torque; dtheta or motor_position;
     command, the set-point, is optional. Motor channels are converted to the joint with the gear of `stand`. {}: the
     file is an export of hil, or a joint state, whose effort is the torque and whose position is the deflection. where:
-    the filters. topic, joint: as in `open_table`. force: replace an existing recording. Raises WrongUse for a column
-    without a known unit, for readings that the stand's limits make impossible, and for a wrong row.
+    the filters. topic, joint: as in `open_table`. join: a second file of the run. between: the first and the last time,
+    as in `rows_between`. force: replace an existing recording. Raises WrongUse for a column without a known unit, for
+    readings that the stand's limits make impossible, and for a wrong row.
     """
+    said: list[str] = []
     table = open_table(source, topic=topic, joint=joint)
     columns = _with_joint_state(table, columns)
     if columns:
         _check_channels(columns, stand)
+        table, columns = with_sums(table, columns) if join is None else of_two(table, join, columns, where, said)
     names = {channel: column.name for channel, column in columns.items()} or _own(table)
     titles = {channel: table.titles[table.place(column.name)] for channel, column in columns.items()}
-    dimensions = _dimensions(titles, columns)
-    understood = {
-        channel: _unit(channel, dimensions[channel], titles[channel], column) for channel, column in columns.items()
-    }
-    numbers, rows = table.read(list(names.values()), where)
-    if "command" in columns:
-        numbers[list(names).index("command")] = held(numbers[list(names).index("command")])
-    if table.joins_topics:
-        numbers, rows = _with_readings(source, list(names), numbers, rows)
+    dimensions = dimensions_of(titles, columns)
+    understood = units_of(titles, columns)
+    numbers, rows = _read(table, names, where if join is None else ())
     numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
     channels = dict(zip(names, numbers, strict=True))
     _check_readings(source, channels, columns)
@@ -115,6 +91,9 @@ def import_table(
     for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
     _check_time(source, channels["time"], rows)
+    if between != (None, None):
+        kept = rows_between(source, channels["time"], units.factor("time", used.get("time", "s")), *between)
+        channels, rows = {name: values[kept] for name, values in channels.items()}, rows[kept]
     if columns:
         _complete(source, channels, stand)
     if "command" in columns:
@@ -129,7 +108,15 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
-    return Imported(len(rows), duration, used, in_words(*swings), (*repeated, *diagnostics))
+    return Imported(len(rows), duration, used, in_words(*swings), (*repeated, *diagnostics), "; ".join(said))
+
+
+def _read(table: Table, names: Mapping[str, str], where: Sequence[RowFilter]) -> tuple[Array, NDArray[np.int64]]:
+    """Return each channel (channels, n) and the row numbers (n,). names: the column of each channel."""
+    numbers, rows = table.read(list(names.values()), where)
+    if "command" in names:
+        numbers[list(names).index("command")] = held(numbers[list(names).index("command")])
+    return _with_readings(table.source, list(names), numbers, rows) if table.joins_topics else (numbers, rows)
 
 
 def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], list[Diagnostic]]:
@@ -156,7 +143,7 @@ def _all_stated(
     unknown.
     """
     missing = [
-        f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {_give(channel)}"
+        f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {give(channel)}"
         for channel, unit in stated.items()
         if unit is None
     ]
@@ -251,38 +238,6 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
     for channel, column in columns.items():
         if not np.isfinite(column.scale) or column.scale == 0.0:
             raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
-
-
-def _dimensions(titles: Mapping[str, str], columns: Mapping[str, Column]) -> Mapping[str, str]:
-    """Return the dimension of each channel. Raises WrongUse if the dimension of the command is unknown."""
-    if "command" not in columns:
-        return DIMENSION
-    return {**DIMENSION, "command": dimension_of_command(titles["command"], columns["command"].unit)}
-
-
-def _unit(channel: str, dimension: str, title: str, column: Column) -> str | None:
-    """Return the unit of a column: the given unit, otherwise the unit in the heading; None if both are missing.
-
-    Raises WrongUse if the given unit and the heading's unit differ, and for an unknown unit.
-    """
-    named = unit_of(title, dimension)
-    if column.unit is None:
-        if named is None and (text := bracketed_text(title)):
-            raise WrongUse(f"column {title!r} names {text!r}, an unknown unit of {dimension}: {_give(channel)}")
-        return named
-    factor = units.factor(dimension, column.unit)
-    if named is not None and not math.isclose(units.factor(dimension, named), factor, rel_tol=1e-9):
-        raise WrongUse(
-            f"column {title!r} is in {named} by its heading and in {column.unit} by the option: correct the heading, "
-            "or omit the option"
-        )
-    return column.unit
-
-
-def _give(channel: str) -> str:
-    option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
-    own = "" if channel == "time" else f" (for counts or volts also the factor to it: --{option}-scale)"
-    return f"give it with --{option}-unit, one of {', '.join(units.COMMON[DIMENSION[channel]])}{own}"
 
 
 def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:

@@ -1,17 +1,20 @@
-"""Row filters: they select rows of a table by comparing a column with a number."""
+"""Row filters: they select rows of a table by comparing a column with a number, a time or a text."""
 
 from __future__ import annotations
 
 import operator
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.exchange.readers.columns import seconds
 
 _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] = MappingProxyType(
     {
@@ -25,34 +28,55 @@ _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] =
 )
 
 
+_DAY = 86400.0  # s
+
+
 @dataclass(frozen=True, slots=True)
 class RowFilter:
-    """A filter that passes the rows in which the comparison of `column` with `value` is true."""
+    """A filter that passes the rows in which the comparison of `column` with `value` is true.
+
+    value: a number; s for a time; or a text. of_day: whether the value is a time of day, which dates have too. written:
+    the value as the user wrote it.
+    """
 
     column: str
     comparison: str
-    value: float
+    value: float | str
+    of_day: bool = False
+    written: str = ""
 
     @classmethod
     def parse(cls, text: str) -> RowFilter:
-        """Return the filter described by a text such as "test_nr==100". Raises WrongUse."""
-        match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(\S+)\s*", text)
-        if match:
-            try:
-                return cls(match[1], match[2], float(match[3]))
-            except ValueError:
-                pass
-        raise WrongUse(
-            f"--where {text!r}: write a column, one of {' '.join(_COMPARISONS)}, and a number: 'test_nr==100'"
-        )
+        """Return the filter described by a text such as "test_nr==100", "state==run" or "stamp>=12:30:00". Raises
+        WrongUse.
+        """
+        match = re.fullmatch(r"\s*(.+?)\s*(==|!=|<=|>=|<|>)\s*(.+?)\s*", text)
+        if match is None:
+            raise WrongUse(
+                f"--where {text!r}: write a column, one of {' '.join(_COMPARISONS)}, and a number, a time or a text: "
+                "'test_nr==100', 'stamp>=12:30:00', 'state==run'"
+            )
+        column, comparison, value = match.groups()
+        with suppress(ValueError):
+            return cls(column, comparison, float(value))
+        if (found := seconds(value)) is not None:
+            return cls(column, comparison, found, 0.0 <= found < _DAY, value)
+        if comparison not in {"==", "!="}:
+            raise WrongUse(f"--where {text!r}: {value!r} is no number and no time: compare a text with == or !=")
+        return cls(column, comparison, value[1:-1] if value[0] == value[-1] in {"'", '"'} else value)
 
     def __str__(self) -> str:
-        return f"{self.column}{self.comparison}{self.value:g}"
+        value = self.value if isinstance(self.value, str) else f"{self.value:g}"
+        return f"{self.column}{self.comparison}{self.written or value}"
 
-    def keeps(self, value: float) -> bool:
+    def keeps(self, value: float | str) -> bool:
         """Return whether a row with `value` in the filter's column passes."""
+        if self.written and not isinstance(value, str):
+            value = round(value % _DAY if self.of_day else value, 6)
         return bool(_COMPARISONS[self.comparison](value, self.value))
 
-    def mask(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return for each of the `values` (n,) in the filter's column whether its row passes, (n,)."""
+    def mask(self, values: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return whether each row passes, (n,). values (n,): the numbers or texts in the filter's column."""
+        if self.written:  # a double holds a date to a fraction of a microsecond
+            values = np.round(values % _DAY if self.of_day else values, 6)
         return np.asarray(_COMPARISONS[self.comparison](values, self.value), dtype=np.bool_)

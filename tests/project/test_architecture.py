@@ -27,6 +27,8 @@ ALLOWED = {
         "plotext",
         "rerun",
         "rosbags",
+        "nptdms",
+        "python_calamine",
     }
     | {"annotated_types", "mcap_ros2"},
     "ga": {"ga", "numpy", "numba", "scipy"},

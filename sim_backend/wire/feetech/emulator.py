@@ -50,7 +50,7 @@ def serve(
         FeetechDevice, MODELS, name, idents, highest=253, baudrate=baudrate, rates=BAUD, parameters=parameters, log=log
     )
     for servo in made:
-        servo.mount_at_middle()
+        servo.write(40, b"\x80")  # mounted at the middle of its turn
     bus = PacketBus(made, timing=timing, protocol=1)
     follow_all(faults, bus)
     line = PtyLine(link, bus)

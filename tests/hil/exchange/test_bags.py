@@ -112,6 +112,16 @@ def test_a_joint_state_without_effort_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, bag(tmp_path / "bag", [("finger", STATE[1], STATE[2], nothing)]))
 
 
+def test_a_type_whose_definition_the_bag_lacks_is_named(tmp_path: Path) -> None:
+    [source] = bag(tmp_path / "bag").glob("*.db3")
+    with closing(sqlite3.connect(source)) as database:
+        database.execute("DELETE FROM message_definitions")
+        database.execute("UPDATE topics SET type = 'my_msgs/msg/Cell' WHERE name = '/wrench'")
+        database.commit()
+    with pytest.raises(WrongUse, match=r"lacks the definition of my_msgs/msg/Cell, .* ros2 bag convert"):
+        bags.columns(source, "/wrench", None)
+
+
 @pytest.mark.parametrize("damage", ["cut", "junk", "empty", "bytes"])
 def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
     [source] = bag(tmp_path / "bag", storage="mcap").glob("*.mcap")

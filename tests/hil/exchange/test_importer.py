@@ -195,7 +195,7 @@ def test_the_motors_own_inertia_and_friction_are_taken_off_what_was_imported(tmp
         (TABLE, ("run==9",), "no row passes run==9"),
         (TABLE, ("speed==9",), "no column 'speed'"),
         (TABLE, ("run=1",), "write a column, one of"),
-        (TABLE, ("run==one",), "write a column, one of"),
+        (TABLE, ("run<one",), "'one' is no number and no time: compare a text with == or !="),
         ("TIME,POS,TAU\n", (), "no rows"),
         ("", (), r"a\.csv is empty"),
     ],
@@ -455,7 +455,7 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"MATLAB 7.3 MAT-file", "save it with"), (b"junk" * 64, "not a MAT-file"), (b"", "is empty")],
+    [(b"MATLAB 7.3 MAT-file", "is damaged"), (b"junk" * 64, "is damaged, or not what"), (b"", "is empty")],
 )
 def test_a_matlab_file_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "a.mat").write_bytes(content)
@@ -484,14 +484,14 @@ def test_a_parquet_file_reads_as_the_same_table_in_csv(tmp_path: Path) -> None:
     with pytest.raises(WrongUse, match="column 's' does not hold numbers"):
         import_table(tmp_path / "a.parquet", tmp_path / "b.h5", PLAIN | {"torque": Column("s", "N*m")}, [])
     (tmp_path / "b.parquet").write_bytes(b"junk")
-    with pytest.raises(WrongUse, match="is not Parquet"):
+    with pytest.raises(WrongUse, match="is damaged, or not what its name says"):
         import_table(tmp_path / "b.parquet", tmp_path / "b.h5", PLAIN, [])
 
 
 def test_parquet_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.parquet").write_bytes(b"PAR1")
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(WrongUse, match="needs pyarrow: pip install 'hil\\[parquet\\]', or use CSV"):
+    with pytest.raises(WrongUse, match="is Parquet or Arrow: pip install 'hil\\[parquet\\]', or save it as CSV"):
         import_table(tmp_path / "a.parquet", tmp_path / "a.h5", PLAIN, [])
 
 

@@ -1,0 +1,130 @@
+"""Columns of a file by heading, and the names of those that lie inside a matrix or a row."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, date, datetime, time
+from functools import partial
+from itertools import islice, product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Callable[[], Any]]
+"""For each heading a function that reads the column (n,): numbers, texts, or dates and times (datetime64, timedelta64).
+"""
+
+_MOST = 256  # columns of one matrix, or numbers of one row
+_UNIT_KEYS = ("units", "unit", "Units", "Unit", "unit_string")
+_SECOND = np.timedelta64(1, "s")
+
+
+def titled(name: str, metadata: Mapping[Any, Any] | None) -> str:
+    """Return the heading of a column: its name, with the unit that its metadata state, such as "tau [N*m]"."""
+    for key in _UNIT_KEYS:
+        for own in (key, key.encode()):
+            unit = (metadata or {}).get(own)
+            text = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+            if isinstance(text, str) and text.strip():
+                return f"{name} [{text.strip()}]"
+    return name
+
+
+def of_matrix(name: str, values: Any, *, matlab: bool = False) -> Iterator[tuple[str, tuple[int | slice, ...]]]:
+    """Yield the name and the index of each column of an array: "q[:,2]", or in MATLAB's words "q(:,3)".
+
+    values: anything with a shape. The rows of the table are along the longest axis. A vector, also one that is stored
+    as a matrix with one column, has the name of the array alone.
+    """
+    shape = values.shape
+    if not all(shape):
+        return
+    rows = max(range(len(shape)), key=lambda axis: shape[axis], default=None)
+    places: list[Sequence[int | slice]] = [
+        range(size) if axis != rows else [slice(None)] for axis, size in enumerate(shape)
+    ]
+    alone = math.prod(shape) == max(shape, default=1)
+    for index in islice(product(*places), _MOST):
+        words = [":" if isinstance(at, slice) else str(at + matlab) for at in index]
+        yield name if alone else f"{name}({','.join(words)})" if matlab else f"{name}[{','.join(words)}]", index
+
+
+def of_row(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the values in a row of nested objects and lists, each with its path: "wrench.torque.z", "q[2]"."""
+    if isinstance(value, Mapping):
+        for name, item in value.items():
+            yield from of_row(f"{path}.{name}" if path else str(name), item)
+    elif isinstance(value, list | tuple | np.ndarray):
+        for index, item in enumerate(value[:_MOST]):
+            yield from of_row(f"{path}[{index}]", item)
+    else:
+        yield path, value
+
+
+def of_rows(rows: Iterator[Any]) -> dict[str, list[Any]]:
+    """Return the values of nested rows as columns by path, None in a row that lacks the path."""
+    found: dict[str, list[Any]] = {}
+    count = 0
+    for count, row in enumerate(rows, start=1):
+        for path, value in of_row("", row):
+            column = found.setdefault(path, [])
+            column.extend([None] * (count - 1 - len(column)))
+            column.append(value)
+    return {path: column + [None] * (count - len(column)) for path, column in found.items()}
+
+
+def from_values(named: Mapping[str, list[Any]]) -> Columns:
+    """Return columns of Python's values; dates and times, also as text in ISO 8601, in s."""
+    found: dict[str, Callable[[], Any]] = {}
+    for name, values in named.items():
+        first = next((one for one in values if one is not None), None)
+        if seconds(first) is not None:
+            found[f"{name} [s]"] = partial(_stamps, values)
+        elif first is not None:
+            found[name] = partial(plain, values)
+    return found
+
+
+def plain(values: list[Any]) -> NDArray[Any]:
+    """Return Python's values as a column (n,): of numbers, NaN for None; or else of texts."""
+    if all(one is None or isinstance(one, bool | int | float) for one in values):
+        return np.array([math.nan if one is None else float(one) for one in values])
+    return np.array(["" if one is None else str(one) for one in values])
+
+
+def seconds(value: Any) -> float | None:
+    """Return a date with a time of day, or a time of day alone (ISO 8601), in s; None if the value is neither."""
+    if isinstance(value, time):
+        value = datetime.combine(date(1970, 1, 1), value)
+    if isinstance(value, str):
+        value = _parsed(value.strip()) if ":" in value else None
+    if not isinstance(value, datetime):
+        return None
+    return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
+
+
+def numbers(values: Any) -> Array | None:
+    """Return a column (n,) as numbers, dates and times in s; None if it holds anything else."""
+    found = np.asarray(values)
+    if found.dtype.kind == "M":
+        found = found - np.datetime64(0, "s")
+    if found.dtype.kind == "m":
+        return np.asarray(found / _SECOND, dtype=np.float64)
+    return np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None
+
+
+def _parsed(text: str) -> datetime | None:
+    for written in (text, f"1970-01-01 {text}"):
+        try:
+            return datetime.fromisoformat(written)
+        except ValueError:
+            continue
+    return None
+
+
+def _stamps(values: list[Any]) -> Array:
+    found = (seconds(one) for one in values)
+    return np.array([math.nan if one is None else one for one in found])

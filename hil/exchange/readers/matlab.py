@@ -1,0 +1,81 @@
+"""Read MAT-files of versions 4 to 7 with SciPy: matrices, structs, cells and what Simulink saves in them.
+
+SciPy ends the process on some damaged files: read them in a copy of the process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import WrongUse
+from hil.exchange.readers.columns import Columns, of_matrix
+
+
+def read(source: Path) -> Columns:
+    """Return the columns by the names that MATLAB gives them: "tau", "data(:,2)", "log.q", "out.signals(2).values".
+
+    Raises WrongUse for a file with objects only, such as timeseries, which MATLAB alone can read.
+    """
+    from scipy.io import loadmat
+
+    found: dict[str, Callable[[], Any]] = {}
+    objects: dict[str, str] = {}
+    with source.open("rb") as file:
+        variables = loadmat(file)
+    for name, value in variables.items():
+        if not str(name).startswith("__"):
+            for path, part in _parts(str(name), value, objects):
+                found |= {column: partial(_column, part, at) for column, at in of_matrix(path, part, matlab=True)}
+    return found | no_numbers(source, objects, alone=not found)
+
+
+def no_numbers(source: Path, objects: Mapping[str, str], *, alone: bool) -> dict[str, Callable[[], Any]]:
+    """Return for each of MATLAB's objects a column that refuses to be read. objects: the class of each by name.
+
+    Raises WrongUse if the file holds objects alone.
+    """
+
+    def refuse(name: str) -> None:
+        raise WrongUse(
+            f"{source}: {name!r} is an object of MATLAB's class {objects[name]}, which only MATLAB reads: save vectors "
+            "there, such as t = x.Time; tau = x.Data; save('log.mat', 't', 'tau', '-v7'), or in Simulink the format "
+            "'Structure With Time'"
+        )
+
+    if alone and objects:
+        refuse(next(iter(objects)))
+    return {name: partial(refuse, name) for name in objects}
+
+
+def _parts(name: str, value: Any, objects: dict[str, str]) -> Iterator[tuple[str, Any]]:
+    """Yield every array of numbers or texts in a variable with its name; the objects go into `objects`."""
+    from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
+
+    if isinstance(value, MatlabOpaque):
+        objects[_text(value["s0"])] = _text(value["s2"])
+    elif isinstance(value, MatlabObject | MatlabFunction):
+        objects[name] = getattr(value, "classname", "function_handle")
+    elif value.dtype.names is not None:
+        for at, element in enumerate(value.ravel(), start=1):
+            place = name if value.size == 1 else f"{name}({at})"
+            for field in value.dtype.names:
+                yield from _parts(f"{place}.{field}", element[field], objects)
+    elif value.dtype.kind == "O":
+        for at, element in enumerate(value.ravel(order="F"), start=1):
+            yield from _parts(f"{name}{{{at}}}", element, objects)
+    elif value.dtype.kind in "fiub" or (value.dtype.kind == "U" and value.size > 1):
+        yield name, value
+
+
+def _text(value: Any) -> str:
+    item = np.ravel(value)[0]
+    return item.decode("latin-1") if isinstance(item, bytes) else str(item)
+
+
+def _column(values: Any, index: tuple[int | slice, ...]) -> Any:
+    return values[index].ravel()

@@ -1,0 +1,52 @@
+"""Read JSON: an object in each line (.jsonl, .ndjson), a list of objects, or an object of lists."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import WrongUse
+from hil.exchange.readers.columns import Columns, from_values, of_rows
+
+
+def read(source: Path) -> Columns:
+    """Return the columns by path: "tau", "joint.q", "q[2]". A line that is cut off at the end of the file is left out.
+
+    Raises WrongUse with the line that is no JSON.
+    """
+    text = source.read_text(encoding="utf-8-sig")
+    try:
+        return from_values(_of_document("", json.loads(text)))
+    except json.JSONDecodeError:
+        lines = [(at, line) for at, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    rows: list[Any] = []
+    for at, line in lines:
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError as error:
+            if rows and at == lines[-1][0] and not text.endswith("\n"):
+                break  # the power was lost while it was written
+            raise WrongUse(
+                f"{source}, line {at}: this is not JSON ({error.msg}): mend the line, or delete it"
+            ) from None
+    return from_values(of_rows(iter(rows)))
+
+
+def _of_document(name: str, value: Any) -> dict[str, list[Any]]:
+    """Return the columns in one JSON value: a list of numbers is a column, a list of objects or lists a table."""
+    if isinstance(value, dict):
+        inner = {f"{name}.{key}" if name else key: item for key, item in value.items()}
+        return {path: column for key, item in inner.items() for path, column in _of_document(key, item).items()}
+    if not isinstance(value, list):
+        return {name: [value]} if name else {}
+    if not any(isinstance(item, dict | list) for item in value):
+        return {name or "data": value}
+    if not any(isinstance(item, dict) for item in value) and len(value) < len(value[0]):  # columns, not rows
+        value = np.array(value, dtype=object).T.tolist()
+    return {
+        f"{name}{'' if path.startswith('[') or not name else '.'}{path}": column
+        for path, column in of_rows(iter(value)).items()
+    }
