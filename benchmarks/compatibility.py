@@ -26,13 +26,13 @@ from typing import Any
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
+from sim_backend.wire.dynamixel.tables import MODELS as X_MODELS  # noqa: E402 - found through ROOT
+from sim_backend.wire.dynamixel.tables import MX_MODELS  # noqa: E402
+from sim_backend.wire.feetech.tables import MODELS as FEETECH_MODELS  # noqa: E402
+
 BAUD = 1_000_000
 UNKNOWN = "model not known to it"
-X_MODELS = [f"xl330-m{n}" for n in ("077", "288")] + ["xc330-t181", "xc330-t288", "xc330-m181", "xc330-m288"]
-X_MODELS += ["xl430-w250", "xm430-w210", "xm430-w350", "xm540-w150", "xm540-w270"]
-MX_MODELS = ["mx-64", "mx-106"]
-LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xm430-w350", "xm540-w270"]
-FEETECH_MODELS = ["sts3215", "sts3250", "hls3606m", "hls2915m", "hls3930m", "scs0009"]
+LEROBOT_X = ["xl330-m077", "xl330-m288", "xl430-w250", "xc430-w150", "xm430-w350", "xm540-w270"]
 ROBSTRIDE = [f"rs0{n}" for n in range(7)]
 DAMIAO = {"dm-j4310": "4310", "dm-j4340": "4340", "dm-j6006": "6006", "dm-j8009": "8009", "dm-h3510": "H3510"}
 
@@ -313,11 +313,11 @@ def of_feetech_sdk(link: str, model: str) -> None:
 
 
 SESSIONS = [
-    Session("dynamixel-sdk", "dynamixel", X_MODELS + MX_MODELS, of_dynamixel_sdk),
-    Session("rustypot", "dynamixel", X_MODELS + MX_MODELS, of_rustypot),
+    Session("dynamixel-sdk", "dynamixel", [*X_MODELS, *MX_MODELS], of_dynamixel_sdk),
+    Session("rustypot", "dynamixel", [*X_MODELS, *MX_MODELS], of_rustypot),
     Session("lerobot", "dynamixel", LEROBOT_X, of_lerobot("dynamixel")),
     Session("lerobot", "feetech", ["sts3215", "sts3250", "scs0009"], of_lerobot("feetech")),
-    Session("feetech-servo-sdk", "feetech", FEETECH_MODELS, of_feetech_sdk),
+    Session("feetech-servo-sdk", "feetech", list(FEETECH_MODELS), of_feetech_sdk),
     Session("moteus", "moteus", ["moteus"], of_moteus),
     Session("robstride", "robstride", ROBSTRIDE, of_robstride),
     Session("robstride-dynamics", "robstride", ROBSTRIDE, of_robstride_dynamics),

@@ -100,6 +100,12 @@ ADAPTERS = (
     ),
     _can("mit Damiao", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.1\n', 2.0),
     _can("mit Damiao, no watchdog", ("mit", "--model", "dm-j4310"), 'model = "dm-j4310"\nwatchdog = 0.0\n', 2.0),
+    Adapter(
+        "mit Damiao, its own adapter",
+        ("mit", "--model", "dm-j4310", "--bus", "damiao"),
+        'interface = "damiao"\nchannel = "{link}"\nmodel = "dm-j4310"\nwatchdog = 0.0\n',
+        2.0,
+    ),
     _can("mit AK", ("mit", "--model", "ak80-9"), 'model = "ak80-9"\n', 2.0),
     _can("robstride", ("robstride",), 'model = "rs00"\nwatchdog = 0.1\n', 2.0),
     _can("robstride, no watchdog", ("robstride",), 'model = "rs00"\nwatchdog = 0.0\n', 2.0),
@@ -188,7 +194,7 @@ class Log:
 @contextmanager
 def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
     """Run `hil emulate` of a drive as long as the `with` lasts."""
-    place = [] if "--bus" in adapter.emulate else ["--link", str(link)]
+    place = [] if "--channel" in adapter.emulate else ["--link", str(link)]
     words = [sys.executable, "-m", "hil", "emulate", *adapter.emulate, *place, "--log", str(log)]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         try:

@@ -26,7 +26,7 @@ from drivers.canbus.off_path import Encode, datagram, encoded, from_slcan_text, 
 from drivers.off_path import OffPath, OwnBus, descriptor_of
 from drivers.owner import Claim
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
-from drivers.uart.port import GONE, REMEDIES
+from drivers.uart.port import GONE, REMEDIES, hasten
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -148,6 +148,7 @@ def open_interface(config: BusConfig) -> can.BusABC:
         raise
     except Exception as error:  # noqa: BLE001 - an interface raises what the library of its adapter's maker raises
         raise DriverError(f"{config.name}: {_remedy(error)} ({type(error).__name__}: {error})") from None
+    hasten(getattr(bus, "serialPortOrig", None))
     return bus
 
 

@@ -7,15 +7,24 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
 
 from annotated_types import Ge, Gt, Le, Unit
+from pydantic import BeforeValidator
 
-from drivers.dynamixel.models import DynamixelModel, models
+from drivers.dynamixel.models import DynamixelModel, models, no_current
 from drivers.gate import watchdog_problem
 from drivers.servo import Quantity
 
+
+def _known(name: object) -> object:
+    """Return `name`. Raises ValueError with the reason for a servo that measures no current."""
+    if name not in models() and (reason := no_current(str(name))):
+        raise ValueError(reason)
+    return name
+
+
 if TYPE_CHECKING:
     ModelName = str
-else:
-    ModelName = Literal[tuple(sorted(models()))]  # so that a refused name is reported with all that are known
+else:  # so that a refused name is reported with all that are known
+    ModelName = Annotated[Literal[tuple(sorted(models()))], BeforeValidator(_known)]
 
 Mode = Literal["current", "extended-position", "current-based-position"]
 Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
@@ -55,7 +64,8 @@ class DynamixelConfig:
         if self.baudrate not in get_args(Baudrate):
             yield f"dynamixel.baudrate {self.baudrate}: one of {', '.join(map(str, get_args(Baudrate)))}"
         if self.model not in models():
-            yield f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
+            known = f"dynamixel.model {self.model!r} is not known; there are {', '.join(sorted(models()))}"
+            yield no_current(self.model) or known
         else:
             yield from self._misfits_of(models()[self.model])
         if problem := watchdog_problem("dynamixel", self.watchdog, self.reply_timeout):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from functools import cache
 from statistics import fmean
@@ -63,13 +64,32 @@ def registers(protocol: int) -> dict[str, DynamixelRegister]:
 @cache
 def models() -> dict[str, DynamixelModel]:
     """Return the DYNAMIXEL models by name."""
-    rows: dict[str, dict[str, object]] = table("dynamixel")["models"]
+    tables = table("dynamixel")
     return {
-        name: DynamixelModel(name, **{"protocol": 2} | row | {"stall": tuple(tuple(point) for point in row["stall"])})  # type: ignore[arg-type,attr-defined]  # TOML is Any
-        for name, row in rows.items()
+        name: DynamixelModel(
+            name,
+            number=row["number"],
+            stall=tuple(tuple(point) for point in row["stall"]),
+            **{"protocol": 2} | tables["series"][row["series"]],
+        )
+        for name, row in tables["models"].items()
     }
+
+
+def no_current(name: str) -> str:
+    """Return why hil does not drive the servo `name`, which is of a series without a measured current; "" if it does
+    not know the name.
+    """
+    if not re.match(r"(xl-?320|ax|dx|rx|mx-?12|mx-?28)", name.lower()):
+        return ""
+    return (
+        f"dynamixel.model {name!r}: it measures no current, so no torque is inferred, and its control table has other "
+        "registers, so that hil could not limit or stop it: use a servo of the X series, or an MX with protocol 2.0"
+    )
 
 
 def name_of(number: int) -> str:
     """Return the name of the model `number`."""
-    return next((name for name, model in models().items() if model.number == number), "of a kind not known here")
+    known = {model.number: name for name, model in models().items()}
+    known |= {refused: name for name, refused in table("dynamixel")["refused"].items()}
+    return known.get(number, "of a kind not known here")

@@ -18,6 +18,7 @@ from drivers.dynamixel.faults import reboot, shut_down
 from drivers.dynamixel.models import DynamixelModel, DynamixelRegister, registers
 from drivers.dynamixel.series import DynamixelState
 from drivers.dynamixel.wire import wire_1
+from drivers.servo import DriverError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -59,9 +60,17 @@ class MxSeries:
         self._position = 0
 
     def identity(self, bus: Bus) -> tuple[int, int]:
-        """Read model number and firmware from the control table, because the reply to a ping does not hold them."""
+        """Read model number and firmware from the control table, because the reply to a ping does not hold them.
+
+        Raises DriverError if the EEPROM is locked, so that no limit could be written.
+        """
         bus.ping(0)
         data = bus.read(0, 3)
+        if bus.read(self.registers["lock"].address, 1) != b"\0":
+            raise DriverError(
+                "the servo's EEPROM is locked (Lock(47) is 1), so its temperature and angle limits cannot be written: "
+                "switch its power off and on"
+            )
         self._has_tick = data[2] >= _TICK_FIRMWARE
         return int.from_bytes(data[:2], "little"), data[2]
 

@@ -143,7 +143,8 @@ class FeetechServo:
     @property
     def _off(self) -> list[str]:
         """Names of the registers to which zero is written to switch the torque off."""
-        return [name for name in ("torque_enable", "torque_limit", "goal_torque") if name in self._registers]
+        # the switch is the last, since a goal that is written may switch the torque on
+        return [name for name in ("torque_limit", "goal_torque", "torque_enable") if name in self._registers]
 
     def _torque_off(self, _request: int) -> None:
         try:
@@ -211,11 +212,12 @@ class FeetechServo:
         require("goal_velocity", max(1, min(velocity, _LARGEST)))
         require("protection_current" if self._model.has_torque_mode else "torque_limit", ceiling)
         if self._model.has_torque_mode:
+            require("torque_limit", self._table.get("max_torque"))  # torque-off may have left it at zero
             require("goal_torque", 0 if self._torque_mode else ceiling)
         self._ceiling = ceiling
 
     def _enable(self) -> None:
-        """Switch the torque on at zero current, or at the present position."""
+        """Switch the torque on at zero current, or at the present position, whose write already switches it on."""
         self._follow(self._block.state(self._bus.read(*self._block.request(self.clock.now()))).raw)
         if not self._torque_mode:
             self._find_range()

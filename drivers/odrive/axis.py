@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.odrive.config import OdriveConfig
 
-HEARTBEAT = 0.6
-"""s without a heartbeat after which the heartbeat counts as missing; the drive's default period is 0.1 s."""
+_SLOWEST = 2.5
+"""s to wait for a heartbeat, whose period a user may change; it is 0.1 s in a new drive."""
+_SHORTEST = 0.35
+"""s for which a heartbeat is waited for at least, however short its period."""
 _CYCLE = 0.12
 """s to wait for a cyclic message of torque or current: if the drive sends any, one arrives within this time."""
 
@@ -30,13 +32,16 @@ _CYCLE = 0.12
 class Axis:
     """One ODrive axis on the bus.
 
-    state, errors: from the last heartbeat. beats: number of heartbeats received. temperature: degC, voltage: V, both
+    state, errors: from the last heartbeat. beats: number of heartbeats received. patience: s within which the next
+    heartbeat must arrive, from its period as measured when the axis was identified. temperature: degC, voltage: V, both
     NaN until known.
     """
 
     def __init__(self, config: OdriveConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
         self._link = link
+        self._clock = clock
+        self.patience = _SLOWEST
         self.codec = Codec(config.id, "0.6")
         self.requests = Requests(
             link,
@@ -56,8 +61,6 @@ class Axis:
         Raises NoReply if no axis replies, BadReply if several axes reply, DriverError for an unknown firmware.
         """
         version = self._version()
-        if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > 0):
-            raise self._no_reply()
         if version is None:
             self.codec = Codec(self._config.id, "0.5")
         elif version < (0, 6):
@@ -69,6 +72,7 @@ class Axis:
             raise self._no_reply() from None
         if self._link.error_frames:
             raise garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
+        self._measure_period()
         if self.requests.wait_until(_CYCLE, lambda: bool(self.requests.unrequested)):
             if version is None:
                 raise garbled(self.requests.name, "it answers twice")
@@ -80,8 +84,18 @@ class Axis:
         """Wait for the next heartbeat. Raises NoReply."""
         self.requests.process()
         beats = self.beats
-        if not self.requests.wait_until(HEARTBEAT, lambda: self.beats > beats):
-            raise self._no_reply()
+        if not self.requests.wait_until(self.patience, lambda: self.beats > beats):
+            raise NoReply(
+                f"ODrive axis {self._config.id} answers, but sends no heartbeat within {self.patience:.3g} s, and its "
+                "state is known from the heartbeat only: set its period to 0.1 s, heartbeat_msg_rate_ms = 100 "
+                "(firmware 0.5: heartbeat_rate_ms), with odrivetool"
+            )
+
+    def _measure_period(self) -> None:
+        self.await_heartbeat()
+        begin = self._clock.now()
+        self.await_heartbeat()
+        self.patience = max(_SHORTEST, 1.5 * (self._clock.now() - begin))
 
     def _version(self) -> tuple[int, ...] | None:
         """Return the firmware version by Get_Version; None if there is no reply, as with firmware 0.5."""
@@ -117,8 +131,8 @@ class Axis:
             return garbled(self.requests.name, f"{self._link.error_frames} error frames on the bus")
         return NoReply(
             f"no ODrive axis {self._config.id} answers on {self._link.name} at {self._config.bitrate} bit/s: check "
-            "its power, the wiring and its termination, the node id, the bit rate (250000 in a new drive), and that "
-            "its heartbeat is switched on"
+            "its power, the wiring and its termination, the node id (the identifier of its heartbeat divided by 32), "
+            "and the bit rate (250000 in a new drive)"
         )
 
 

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
     from drivers.off_path import OffPath
 
-_STATE_CHANGE = 0.35
-"""s to wait for a heartbeat that reports a change of state."""
+_AGAIN = 0.35
+"""s after which torque-off is requested again while the heartbeat that confirms it is awaited."""
 _TRIES = 3
 _EVERY = 8
 """Ticks between two requests for a slowly changing value."""
@@ -158,8 +158,11 @@ class OdriveServo:
     def _torque_off(self, _request: int) -> None:
         self._axis.requests.send(self._off())
         self._axis.requests.process()
-        if not self._axis.requests.wait_until(_STATE_CHANGE, partial(self._idle_since, self._axis.beats)):
-            raise DriverError("no heartbeat reports idle")
+        idle, end = partial(self._idle_since, self._axis.beats), self.clock.now() + self._axis.patience
+        while not self._axis.requests.wait_until(min(_AGAIN, end - self.clock.now()), idle):
+            if self.clock.now() >= end:
+                raise DriverError("no heartbeat reports idle")
+            self._axis.requests.send(self._off())
 
     def _idle_since(self, beats: int) -> bool:
         return self._axis.beats > beats and self._axis.state == IDLE
@@ -240,7 +243,7 @@ class OdriveServo:
             self._axis.requests.send(
                 [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", CLOSED_LOOP)]
             )
-            end = self.clock.now() + _STATE_CHANGE
+            end = self.clock.now() + self._axis.patience
             while self.clock.now() < end:
                 # in short waits, since the watchdog must be fed meanwhile
                 if self._axis.requests.wait_until(

@@ -64,6 +64,13 @@ def open_port(name: str, baudrate: int) -> serial.Serial:
         reason = os.strerror(number) if number else f"{type(error).__name__}: {error}"
         known = REMEDIES.get(number or 0, f"it cannot be opened ({reason}): check port and baud rate in the stand file")
         raise DriverError(f"{name}: {known}") from None
-    with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
-        port.set_low_latency_mode(True)  # a USB adapter may hold bytes back for 16 ms; a pty has no such mode
+    hasten(port)
     return port
+
+
+def hasten(port: object) -> None:
+    """Let the USB adapter of a serial port pass received bytes on at once, where the system can: FTDI's holds them back
+    for 16 ms as delivered.
+    """
+    with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
+        port.set_low_latency_mode(True)  # type: ignore[attr-defined]  # a pty and a bus without a port have none

@@ -38,6 +38,8 @@ VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of Hardware Error Status(70)."""
 
 _PWM_LSB = 1.0 / 885.0
+_TOGETHER = frozenset({Instruction.SYNC_READ, Instruction.SYNC_WRITE, Instruction.BULK_READ, Instruction.BULK_WRITE})
+_FAST = _TOGETHER | {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
 
 
 class DynamixelDevice:
@@ -90,8 +92,13 @@ class DynamixelDevice:
             get("return_delay_time") * 2e-6,
             get("status_return_level"),
             get("secondary_id"),
-            sync_reads=True,
+            _FAST if self._newest else _TOGETHER,
         )
+
+    @property
+    def _newest(self) -> bool:
+        """Return whether the servo has the firmware that brought backups and fast reads; no MX has."""
+        return self.registers.has("backup_ready") and self._firmware >= self.model.firmware
 
     @property
     def tripped(self) -> bool:
@@ -167,7 +174,7 @@ class DynamixelDevice:
                 error = self._factory_reset(frame, now)
             case Instruction.CLEAR:
                 error = self._clear(frame.parameters)
-            case Instruction.BACKUP if self._firmware >= self.model.firmware:  # the one that brought it
+            case Instruction.BACKUP if self._newest:
                 error = self._backed_up(frame.parameters, now)
             case _:
                 error = Error.INSTRUCTION

@@ -75,7 +75,9 @@ class MxDevice:
         get = self.get
         code = get("baud_rate")
         baudrate = MX_BAUD.get(code, 2_000_000 // (code + 1))
-        return LineSettings(get("id"), baudrate, get("return_delay_time") * 2e-6, get("status_return_level"))
+        together = frozenset({Instruction.SYNC_WRITE, Instruction.BULK_READ})
+        delay = get("return_delay_time") * 2e-6
+        return LineSettings(get("id"), baudrate, delay, get("status_return_level"), together=together)
 
     @property
     def torque_on(self) -> bool:
@@ -175,7 +177,9 @@ class MxDevice:
         """
         changes: list[tuple[Item, int]] = []
         for item, raw in self.registers.covered(address, data):
-            locked = item is not None and item.address < MX_EEPROM_END and self.get("lock") == 1
+            # the lock is among what it locks: only a loss of power clears it
+            kept = item is not None and (item.address < MX_EEPROM_END or item.name == "lock")
+            locked = kept and self.get("lock") == 1
             if item is None or not item.writable or locked or len(raw) < item.size:
                 return MX_RANGE, []
             value = self.registers.decoded(item, raw)

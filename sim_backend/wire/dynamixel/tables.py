@@ -82,6 +82,7 @@ def _indirect(ranges: list[list[int]]) -> list[Item]:
 
 
 _ALL = {name: _model(name) for name in _TABLE["models"]}
-MODELS = {name: model for name, model in _ALL.items() if not name.startswith("mx")}
-MX_MODELS = {name: model for name, model in _ALL.items() if name.startswith("mx")}
-"""The MX models by the name used in stand files. The stall point is that at the recommended voltage."""
+MX_MODELS = {name: _ALL.pop(name) for name in ("mx-64", "mx-106")}
+"""The models with protocol 1.0 by the name used in stand files. The stall point is that at the recommended voltage."""
+MODELS = _ALL
+"""The models with protocol 2.0."""

@@ -1,11 +1,18 @@
 """An emulated Feetech servo: its memory, the effect of each instruction, and the replies.
 
-Sources: the vendor's protocol manual and memory tables. The following is not in these sources and is assumed here. A
-write of a value out of range, or to a read-only address, is confirmed but ignored. A read may span addresses without an
-item, which read as zero. A request with a wrong checksum gets no reply. An error that is selected in Unloading
-Condition(19) switches the output off until the error has ended and Torque Enable(40) is written again; an overload only
-reduces the output to Protective Torque. A write to the EEPROM while the lock is 1 takes effect but is lost without
-power. Gains, dead zones, acceleration and the LED have no effect.
+Sources: the vendor's protocol manual and memory tables (ftservo/ftservo-wiki, docs/reference: protocol/ft-scs.md,
+parameter/memory-sts.md, memory-hls.md, memory-scscl.md). Two things owners measured. A write of Goal Position(42)
+switches the torque on (beam-bots/bb_servo_feetech; jakegibs617/robotic-arm-paint saw none for a goal that equals the
+present position), and in speed mode a write of the speed does (a LeKiwi base), even of 0. Position Offset(31) is
+subtracted from the encoder's position (huggingface/lerobot, motors/feetech), and the calibration instruction stores it
+without unlocking (orcahand/orca_core).
+
+The following is not in these sources and is assumed here. An instruction that the servo does not have gets no reply: no
+bit of the status could tell it. A write of a value out of range, or to a read-only address, is confirmed but ignored. A
+read may span addresses without an item, which read as zero. A request with a wrong checksum gets no reply. An error
+that is selected in Unloading Condition(19) switches the output off until the error has ended and Torque Enable(40) is
+written again; an overload only reduces the output to Protective Torque. A write to the EEPROM while the lock is 1 takes
+effect but is lost without power; so does a restored backup. Gains, dead zones, acceleration and the LED have no effect.
 """
 
 from __future__ import annotations
@@ -35,11 +42,19 @@ if TYPE_CHECKING:
 
 BOOT = 0.3
 """s after power-on in which the servo does not reply; the manual gives no value."""
+RESTART = 1.8
+"""s after the instruction Reboot in which the servo does not reply."""
 VOLTAGE, ENCODER, HEAT, OVER_CURRENT, ANGLE, OVERLOAD = 1, 2, 4, 8, 16, 32
 """Bits of Servo Status(65), which every reply carries."""
 _TURN = 4096
+_MIDDLE = 2048
 _SINGLE_STEPS, _WHOLE_ANGLE = 0x04, 0x10  # Phase(18)
 _RECENTRE = 128
+_LOADED = {"torque_limit": "max_torque", "goal_torque": "protection_current"} | {
+    f"{gain}_now": gain for gain in ("p_gain", "d_gain", "i_gain")
+}
+"""The items in RAM that begin with the value of another item when the servo is powered."""
+_RESTORE, _REBOOT, _BACKUP, _FORGET_TURNS, _CALIBRATE = 0x06, 0x08, 0x09, 0x0A, 0x0B
 
 
 class FeetechDevice:
@@ -80,7 +95,12 @@ class FeetechDevice:
         identity |= {"main_version": self.model.number[0], "sub_version": self.model.number[1]}
         for name, value in identity.items():
             self.put(name, value)
-        self._flash[:] = self.registers.memory[:EEPROM_END]
+        self._flash[:] = self._backup = self.registers.memory[:EEPROM_END]
+        self.put("goal_position", self._position())
+
+    def mount_at_middle(self) -> None:
+        """Set the encoder's zero such that the present position is the middle of the servo's turn."""
+        self._centre += (511 if self.model.big else _MIDDLE) - self._position()
         self.put("goal_position", self._position())
 
     @property
@@ -95,7 +115,7 @@ class FeetechDevice:
             get("return_delay") * 2e-6,
             1 + get("response_level"),
             get("second_id") if self.registers.has("second_id") else None,
-            sync_reads=not self.model.big,
+            frozenset({Instruction.SYNC_WRITE} if self.model.big else {Instruction.SYNC_WRITE, Instruction.SYNC_READ}),
         )
 
     def eeprom(self) -> bytes:
@@ -132,9 +152,9 @@ class FeetechDevice:
         self._registered = None
         self.registers.reset(EEPROM_END)
         self.registers.memory[:EEPROM_END] = self._flash
-        self.put("torque_limit", self.get("max_torque"))
-        self.put("goal_torque", self.get("protection_current"))
-        self.put("goal_position", self._position())
+        for name, stored in _LOADED.items():
+            self.put(name, self.get(stored))
+        self._forget_turns()
         self.ready = now + BOOT
 
     def alerted(self, error: int) -> int:
@@ -155,8 +175,8 @@ class FeetechDevice:
         if frame.instruction == Instruction.READ:
             p = frame.parameters
             return self.read(p[0], p[1], now) if len(p) == 2 else None
-        self._execute(frame)
-        return (self.errors, b"") if self.get("response_level") and frame.id != BROADCAST else None
+        done = self._execute(frame, now)
+        return (self.errors, b"") if done and self.get("response_level") and frame.id != BROADCAST else None
 
     def read(self, address: int, size: int, now: float) -> tuple[int, bytes]:
         """Return the error byte and the bytes of a read at `now`. Addresses beyond the memory read as zero."""
@@ -168,41 +188,110 @@ class FeetechDevice:
         """Write `data` as a write instruction does. Return the error byte."""
         written = set()
         for item, raw in self.registers.covered(address, data):
-            if item is not None and item.writable and len(raw) == item.size:
-                self._take(item, raw)
+            if item is not None and item.writable and len(raw) == item.size and self._take(item, raw):
                 written.add(item.name)
-        if "torque_enable" in written:
-            self._torque()
+        if "id" in written:
+            self.put("second_id", self.get("id"))
         if "goal_position" in written:
             self.errors &= ~OVERLOAD  # a new goal ends the protection
+        if "torque_enable" in written:
+            self._torque()
+        elif ("goal_velocity" if self._mode() == SPEED else "goal_position") in written:
+            self.put("torque_enable", 1)
+            self._torque()
         self._hand_over_goals()
         return self.errors
 
-    def _take(self, item: Item, data: bytes) -> None:
-        if item.low <= self.registers.decoded(item, data) <= item.high:
+    def _take(self, item: Item, data: bytes) -> bool:
+        """Store the bytes of `item` if they are in its range. Return whether they are."""
+        value = self.registers.decoded(item, data)
+        wanted = item.low <= value <= item.high
+        if item.name == "torque_enable":  # only an STS sets its middle with it
+            wanted = value < 3 or (value == _RECENTRE and self.model.family == "sts")
+        if wanted:
             self.registers.memory[item.address : item.address + item.size] = data
             if item.address < EEPROM_END and not self.get("lock"):
-                self._flash[item.address : item.address + item.size] = data
+                self._burn(item.name)
+        return wanted
 
-    def _execute(self, frame: Frame) -> None:
-        if frame.instruction in {Instruction.WRITE, Instruction.REG_WRITE} and len(frame.parameters) > 1:
-            address, data = frame.parameters[0], frame.parameters[1:]
-            if frame.instruction == Instruction.WRITE:
-                self.write(address, data)
-            else:
-                self._registered = (address, data)
+    def _burn(self, name: str) -> None:
+        """Store the item `name` such that it survives a loss of power."""
+        if (item := self.registers.item(name)) is not None:
+            place = slice(item.address, item.address + item.size)
+            self._flash[place] = self.registers.memory[place]
+
+    def _execute(self, frame: Frame, now: float) -> bool:
+        """Execute an instruction that changes the servo's state. Return whether the servo replies to it."""
+        p = frame.parameters
+        match frame.instruction:
+            case Instruction.WRITE if len(p) > 1:
+                self.write(p[0], p[1:])
+            case Instruction.REG_WRITE if len(p) > 1:
+                self._registered = (p[0], p[1:])
                 self.put("registered", 1)
-        elif frame.instruction == Instruction.ACTION and self._registered is not None:
-            waiting, self._registered = self._registered, None
-            self.put("registered", 0)
-            self.write(*waiting)
+            case Instruction.ACTION:
+                waiting, self._registered = self._registered, None
+                self.put("registered", 0)
+                if waiting is not None:
+                    self.write(*waiting)
+            case n if n == _RESTORE:
+                self._restore()
+            case n if n == _BACKUP:
+                self._backup = self.registers.memory[:EEPROM_END]
+            case n if n == _FORGET_TURNS:
+                self._forget_turns()
+            case n if n == _CALIBRATE:
+                return self._calibrate(p)
+            case n if n == _REBOOT:
+                self.reboot(now)
+                self.ready = now + RESTART
+                return False
+            case _:
+                return False
+        return True
+
+    def _restore(self) -> None:
+        """Set the EEPROM to the backup, which is that of the factory before the first one, except for the id."""
+        kept = self.get("id")
+        self.registers.memory[:EEPROM_END] = self._backup
+        self.put("id", kept)
+        if not self.get("lock"):
+            self._flash[:] = self.registers.memory[:EEPROM_END]
+        self._hand_over_goals()
+
+    def _calibrate(self, parameters: bytes) -> bool:
+        """Make the present position the one given in two bytes, or the middle. Return whether this firmware can."""
+        oldest = self.model.calibrates[bool(parameters)] if self.model.calibrates else (256, 0)
+        if (self.get("firmware_major"), self.get("firmware_minor")) < oldest or len(parameters) not in {0, 2}:
+            return False
+        self._reads(int.from_bytes(parameters, "little") if parameters else _MIDDLE)
+        return True
+
+    def _reads(self, position: int) -> None:
+        """Make the present position `position`: Position Offset(31) becomes what that needs, within half a turn, and
+        whole turns are forgotten. The servo stays where it is.
+        """
+        offset = self.get("position_offset") + self._counts() - position
+        within = (offset + _TURN // 2) % _TURN - _TURN // 2
+        self._centre += within - offset
+        self.put("position_offset", within)
+        self._burn("position_offset")
+        self._stay()
+
+    def _forget_turns(self) -> None:
+        if not self.model.big:
+            self._centre -= math.floor(self._counts() / _TURN) * _TURN
+        self._stay()
+
+    def _stay(self) -> None:
+        self.put("goal_position", self._position())
+        self._hand_over_goals()
 
     def _torque(self) -> None:
         wanted = self.get("torque_enable")
         if wanted == _RECENTRE:
-            self._centre += (_TURN // 2 if not self.model.big else 511) - self._position()
             self.put("torque_enable", int(self.motor.enabled))
-            self.put("goal_position", self._position())  # it stays where it is
+            self._reads(_MIDDLE)
         elif wanted == 1 and not self.errors & self.get("unloading_condition") & ~OVERLOAD:
             if not self.motor.enabled:
                 self.motor.enable()
@@ -235,7 +324,7 @@ class FeetechDevice:
             duty = self.get("goal_torque" if self.registers.has("goal_torque") else "goal_time")
             goals = Goals(mode=PWM, duty=duty / 1000.0)
         else:
-            goal = (self._goal() - self._centre) * self.model.count
+            goal = (self._goal() - self._zero()) * self.model.count
             goals = Goals(mode=CURRENT_POSITION, current=ceiling, position=goal)
         self.motor.law.goals = goals
 
@@ -261,8 +350,12 @@ class FeetechDevice:
         single = self.model.big or (not self.registers.has("goal_torque") and self.get("phase") & _SINGLE_STEPS)
         return self.model.count * (1 if single else 50)
 
+    def _zero(self) -> int:
+        """Return the position, in counts, at which the motor's angle is zero."""
+        return self._centre - self.get("position_offset")
+
     def _counts(self) -> int:
-        return round(self.motor.position / self.model.count) + self._centre
+        return round(self.motor.position / self.model.count) + self._zero()
 
     def _position(self) -> int:
         """Return Present Position: over many turns if Phase(18) says so, else within one turn."""
@@ -277,6 +370,7 @@ class FeetechDevice:
         speed = round(motor.velocity / self._speed_unit())
         self.put("present_position", self._position())
         self.put("present_speed", max(-32767, min(32767, speed)))
+        self.put("target_position", self.get("goal_position"))
         self.put("present_load", round(law.duty(motor) * 1000.0))
         self.put("present_voltage", round(self.model.stall[0] * 10.0))
         self.put("present_temperature", round(motor.temperature))

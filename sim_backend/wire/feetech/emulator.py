@@ -50,7 +50,7 @@ def serve(
         FeetechDevice, MODELS, name, idents, highest=253, baudrate=baudrate, rates=BAUD, parameters=parameters, log=log
     )
     for servo in made:
-        servo.write(40, b"\x80")  # mounted at the middle of its turn
+        servo.mount_at_middle()
     bus = PacketBus(made, timing=timing, protocol=1)
     follow_all(faults, bus)
     line = PtyLine(link, bus)

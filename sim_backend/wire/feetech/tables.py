@@ -20,26 +20,34 @@ class FeetechModel:
     """A Feetech model as its specification describes it.
 
     number: main and sub version. firmware: major and minor version. stall: voltage V, current A and torque N m at
-    stall. count: rad in one count of position. big: whether words have the high byte first.
+    stall. count: rad in one count of position. calibrates: the firmware from which the servo knows the instruction
+    Position Calibration without and with a value; empty if it does not.
     """
 
+    family: str
     number: tuple[int, int]
     firmware: tuple[int, int]
     stall: tuple[float, float, float]
     count: float
-    big: bool
+    calibrates: tuple[tuple[int, int], ...]
     items: tuple[Item, ...]
+
+    @property
+    def big(self) -> bool:
+        """Return whether words have the high byte first."""
+        return self.family == "scs"
 
 
 def _model(name: str) -> FeetechModel:
     tables = table("feetech", "sim_backend.wire")
     row, items = tables["models"][name], tables["items"]
-    scs = row["family"] == "scs"
-    own = items_of(
-        items["common"], {} if scs else items["magnetic"], items[row["family"]], initial=tables["initial"][name]
-    )
+    family = row["family"]
+    scs = family == "scs"
+    own = items_of(items["common"], {} if scs else items["magnetic"], items[family], initial=tables["initial"][name])
     count = math.radians(300.0) / 1024.0 if scs else math.tau / 4096.0
-    return FeetechModel(tuple(row["number"]), tuple(row["firmware"]), tuple(row["stall"]), count, scs, own)
+    number, firmware, stall = (tuple(row[key]) for key in ("number", "firmware", "stall"))
+    calibrates = tuple(tuple(version) for version in tables["calibrates"].get(family, ()))
+    return FeetechModel(family, number, firmware, stall, count, calibrates, own)
 
 
 MODELS = {name: _model(name) for name in table("feetech", "sim_backend.wire")["models"]}

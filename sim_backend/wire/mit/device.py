@@ -69,6 +69,7 @@ class MitDevice:
         reply = reply_id if reply_id is not None else (0 if self.damiao else ident)
         self._items = registers(self.model, ident, reply) if self.damiao else {}
         self.values = {number: item.initial for number, item in self._items.items()}
+        self._stored = dict(self.values)
         self._ident, self._reply = ident, reply
         self.motor = CanMotor(
             parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance), Impedance()
@@ -136,7 +137,7 @@ class MitDevice:
         """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
         self.motor.disable()
         self.error = 0
-        self.values = {number: item.initial for number, item in self._items.items()}
+        self.values = dict(self._stored)
         if not self.damiao:
             turn = 2.0 * math.pi / self.model.gear
             self._zero += round((self.motor.position - self._zero) / turn) * turn
@@ -254,6 +255,7 @@ class MitDevice:
             return [self._state()]
         item = self._items.get(number)
         if command == 0xAA:
+            self._stored = self._stored if self.motor.enabled else dict(self.values)
             return [CanFrame(reply_id, data)]
         if item is None or command not in {0x33, 0x55}:
             return []

@@ -2,10 +2,11 @@
 
 Source: the vendor's CAN protocol page and DBC files for 0.5.6 and 0.6.10, the 0.5.6 firmware's can_simple.cpp and
 controller.cpp, and can_enumerate.py of the vendor's ODriveResources. The following is not in these sources and is
-assumed here. A boot takes 0.5 s. The configuration counts as saved. An axis without a node id sends only its address,
-on request, within 50 ms. With firmware 0.6, set-points and state requests feed the watchdog (the vendor's watchdog
-example sends both), and the watchdog acts only in closed loop. One count of the current sensor is 20 mA. Position and
-velocity control are cascades of plain gains without the firmware's integrator.
+assumed here. A boot takes 0.5 s. The motor does not turn in a calibration. The configuration counts as saved. An axis
+without a node id sends only its address, on request, within 50 ms. With firmware 0.6, set-points and state requests
+feed the watchdog (the vendor's watchdog example sends both), and the watchdog acts only in closed loop. One count of
+the current sensor is 20 mA. Position and velocity control are cascades of plain gains without the firmware's
+integrator.
 """
 
 from __future__ import annotations
@@ -17,12 +18,20 @@ from typing import TYPE_CHECKING
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
 from sim_backend.wire.odrive.endpoints import Endpoints
+from sim_backend.wire.odrive.states import (
+    CLOSED_LOOP,
+    DISARMED,
+    IDLE,
+    INVALID_STATE,
+    NO_ENDSTOP,
+    NOT_CALIBRATED,
+    Procedures,
+)
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.torque_log import WatchdogState
 
-IDLE, CLOSED_LOOP = 1, 8
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
 BROADCAST = 0x3F
 """The node id that addresses every drive with firmware 0.6, which is also the id of a drive without a node id."""
@@ -43,11 +52,12 @@ OVERSPEED = {"0.5": 0x200, "0.6": 0x8000}
 OVERHEAT = {"0.5": 0x40000, "0.6": 0x2000}
 ESTOP = {"0.5": 0x4000, "0.6": 0x2000000}
 DRIVER_FAULT = {"0.5": 0x40, "0.6": 0x20}
+_INVALID_STATE, _WITHOUT_ENDSTOP = 0x1, 0x20000  # of 0.5.6
 """Bits of the error word, by message layout of the firmware."""
 
 _CYCLIC = {"heartbeat": 0x01, "encoder": 0x09, "torques": 0x1C}
 """The cyclic messages, by their names in the configuration."""
-_NODE_ID = "axis0.config.can.node_id"
+_NODE_ID, _REQUEST = "axis0.config.can.node_id", "axis0.requested_state"
 _FLOATS = struct.Struct("<ff")
 _INPUT_POS = struct.Struct("<fhh")
 
@@ -90,7 +100,7 @@ class OdriveDevice:
         self._introduces = math.inf
         self._torque = self._velocity = 0.0
         self._position = self._offset = 0.0
-        self._result = 0
+        self._procedures = Procedures()
 
     @property
     def ident(self) -> int:
@@ -150,6 +160,8 @@ class OdriveDevice:
             self.fail(WATCHDOG[self.layout])
         self.motor.run(now - self._powered)
         if self.state != CLOSED_LOOP:
+            self.calibrated |= self._procedures.proceed(now)
+            self.state = self._procedures.state
             return
         limit = self.endpoints.get("axis0.controller.config.vel_limit")
         tolerance = self.endpoints.get("axis0.controller.config.vel_limit_tolerance")
@@ -174,9 +186,9 @@ class OdriveDevice:
     def fail(self, bits: int) -> None:
         """Latch the errors `bits` and disarm the axis."""
         self.errors |= bits
-        if self.state == CLOSED_LOOP:
-            self.disarm_reason = bits
+        running, self.disarm_reason = self.state != IDLE, bits if self.state != IDLE else self.disarm_reason
         self._go_idle()
+        self._procedures.result = DISARMED if running else self._procedures.result
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
@@ -193,7 +205,7 @@ class OdriveDevice:
         if frame.remote or not frame.data:
             return self._replied(command, now)
         if command in {0x04} and self.layout == "0.6":
-            return self._parameter(frame.data)
+            return self._parameter(frame.data, now)
         self._obey(command, frame.data.ljust(8, b"\0"), now)
         return []
 
@@ -243,7 +255,7 @@ class OdriveDevice:
             own = {0x01: struct.pack("<IBBBB", self.errors, self.state, *faults)}
             return shared | silent | own | {0x0A: struct.pack("<ii", counts, counts % COUNTS)}
         return shared | {
-            0x01: struct.pack("<IBBBB", self.errors, self.state, self._result, 1, 0),
+            0x01: struct.pack("<IBBBB", self.errors, self.state, self._procedures.result, 1, 0),
             0x00: bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0]),
             _ADDRESS: bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0",
             0x15: floats(motor.temperature, motor.temperature),
@@ -254,9 +266,17 @@ class OdriveDevice:
     def _turns(self) -> float:
         return (self.motor.position - self._offset) / TURN
 
-    def _parameter(self, data: bytes) -> list[CanFrame]:
+    def _parameter(self, data: bytes, now: float) -> list[CanFrame]:
         """Execute RxSdo: read or write an endpoint. Firmware 0.6.11 and later confirms a write."""
+        values = {"active_errors": self.errors, "disarm_reason": self.disarm_reason, "current_state": self.state}
+        for name, value in (values | {"procedure_result": self._procedures.result}).items():
+            self.endpoints.put(f"axis0.{name}", value)
         reply = self.endpoints.sdo(data, confirms=int(self.firmware.split(".")[2]) >= 11)
+        if requested := int(self.endpoints.get(_REQUEST)):
+            self.endpoints.put(_REQUEST, 0)
+            self._request_state(requested)
+        for kind in self._next:  # a period may have been changed
+            self._next[kind] = min(self._next[kind], now + self._period(kind))
         return [] if reply is None else [self._frame(0x05, reply)]
 
     # -- commands ------------------------------------------------------------------------------------------------------
@@ -297,31 +317,40 @@ class OdriveDevice:
             0x0F: {controller + "vel_limit": first, "axis0.config.motor.current_soft_max": second},
             0x1A: {controller + "pos_gain": first},
             0x1B: {controller + "vel_gain": first, controller + "vel_integrator_gain": second},
+            0x11: {"axis0.trap_traj.config.vel_limit": first},
+            0x12: {"axis0.trap_traj.config.accel_limit": first, "axis0.trap_traj.config.decel_limit": second},
+            0x13: {controller + "inertia": first},
         }
         for name, value in changes.get(command, {}).items():
             self.endpoints.put(name, value)
         if command == 0x0B:
             self._position = self._turns()  # so that a change of mode moves nothing
-        if command == 0x19 and self.layout == "0.6":
-            self._offset = self.motor.position - first * TURN
+        if command == 0x19:  # the position in turns, or in counts
+            turns = first if self.layout == "0.6" else (words[0] - (words[0] >> 31 << 32)) / COUNTS
+            self._offset = self.motor.position - turns * TURN
 
     def _request_state(self, state: int) -> None:
-        if state == CLOSED_LOOP:
-            if self.errors or not self.calibrated:
-                self._result = 14 if not self.calibrated else 3
-                self.errors |= 0x1 if self.layout == "0.5" else 0
-                return
-            self._result = 0
-            if self.state != CLOSED_LOOP:
-                self._position = self._turns()
+        """End what runs and begin `state`; 0 requests nothing."""
+        if state == 0 or (state == IDLE and self.ignores_idle):
+            return
+        old = self.layout == "0.5"
+        self.errors &= ~_INVALID_STATE if old else ~0
+        self.motor.disable()
+        self._procedures.begin(state, self._powered + self.motor.time, calibrated=self.calibrated)
+        self.state = self._procedures.state
+        if state == CLOSED_LOOP and (self.errors or not self.calibrated):
+            self._procedures.result = NOT_CALIBRATED if not self.calibrated else DISARMED
+        elif state == CLOSED_LOOP:
+            self._position = self._turns()
             self.state = CLOSED_LOOP
             self.motor.enable()
             self._control()
-        elif state == IDLE and not self.ignores_idle:
-            self._go_idle()
+        if old and self._procedures.result in {DISARMED, NO_ENDSTOP, INVALID_STATE, NOT_CALIBRATED}:
+            self.errors |= _WITHOUT_ENDSTOP if self._procedures.result == NO_ENDSTOP else _INVALID_STATE
 
     def _go_idle(self) -> None:
         self.state = IDLE
+        self._procedures = Procedures()
         self.motor.disable()
 
     def _control(self) -> None:

@@ -53,7 +53,7 @@ class LineSettings(NamedTuple):
 
     baudrate: bit/s. return_delay: s from a request to its reply. level: what the servo replies to: 0: pings, 1: pings
     and reads, 2: everything. shadow: a second id whose instructions the servo obeys without a reply, None if there is
-    none. sync_reads: whether the servo replies to a Sync Read of protocol 1.0.
+    none. together: the instructions for several servos that this servo has.
     """
 
     id: int
@@ -61,7 +61,7 @@ class LineSettings(NamedTuple):
     return_delay: float
     level: int
     shadow: int | None = None
-    sync_reads: bool = False
+    together: frozenset[int] = frozenset()
 
 
 class PacketServo(Watched, Protocol):
@@ -156,7 +156,8 @@ class PacketBus:
         if not frame.sound:
             return []
         if frame.instruction >= Instruction.SYNC_READ:
-            return self._together(frame, {device.line.id: device for device in awake}, now)
+            able = [device for device in awake if frame.instruction in device.line.together]
+            return self._together(frame, able, now)
         answers = [(d, d.answer(frame, now)) for d in sorted(awake, key=lambda d: d.line.id)]
         if frame.instruction != Instruction.PING:
             return []
@@ -172,23 +173,25 @@ class PacketBus:
         packets = [self._status(frame.id, *answer) for answer in answers if answer is not None]
         return self._timed([(named[0], _collided(packets))], now) if packets else []
 
-    def _together(self, frame: Frame, present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Execute an instruction for several servos: Sync or Bulk Read, Sync or Bulk Write.
+    def _together(self, frame: Frame, able: list[PacketServo], now: float) -> list[Reply]:
+        """Execute an instruction for several servos: Sync or Bulk Read, Sync or Bulk Write. able: the servos that have
+        it.
 
         A servo that does not reply is skipped; but in a Bulk Read of protocol 1.0 the servos behind it wait for it and
         do not reply.
         """
         for ident, address, data in self._writes(frame):
-            if ident in present:
-                present[ident].write(address, data)
+            for device in able:
+                if ident in {device.line.id, device.line.shadow}:
+                    device.write(address, data)
+        present = {device.line.id: device for device in able}
         wanted = self._reads(frame)
         if frame.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}:
             return self._fast(wanted, present, now)
         packets = []
         for ident, address, size in wanted:
             device = present.get(ident)
-            sync_reads = device is not None and (device.line.sync_reads or frame.instruction != Instruction.SYNC_READ)
-            if device is not None and sync_reads and device.line.level > 0:
+            if device is not None and device.line.level > 0:
                 error, data = device.read(address, size, now)
                 packets.append((device, self._status(ident, device.alerted(error), data)))
             elif self._protocol == 1 and frame.instruction == Instruction.BULK_READ:

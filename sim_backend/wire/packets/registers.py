@@ -11,8 +11,8 @@ from typing import Any, Literal
 class Item:
     """An item of a control table.
 
-    low, high: the range of values that may be written. sign_bit: the bit that means negative; 0: two's complement if
-    `low` is negative, else unsigned. writable: whether it may be written.
+    low, high: the range of values that may be written. sign_bit: the bit that means negative, amid the bits of the
+    magnitude; 0: two's complement if `low` is negative, else unsigned. writable: whether it may be written.
     """
 
     address: int
@@ -61,6 +61,10 @@ class Registers:
         """Return whether this model has the item."""
         return name in self._named
 
+    def item(self, name: str) -> Item | None:
+        """Return an item; None if the model has no item of this name."""
+        return self._named.get(name)
+
     def get(self, name: str) -> int:
         """Return the value of an item; 0 if the model has no item of this name."""
         item = self._named.get(name)
@@ -82,13 +86,15 @@ class Registers:
         if not item.sign_bit:
             return int.from_bytes(data, self._order, signed=item.low < 0)
         raw = int.from_bytes(data, self._order)
-        magnitude = raw & ((1 << item.sign_bit) - 1)
+        low = (1 << item.sign_bit) - 1
+        magnitude = raw >> 1 & ~low | raw & low
         return -magnitude if raw >> item.sign_bit & 1 else magnitude
 
     def store(self, item: Item, value: int) -> None:
         """Write as many low bits of `value` as `item` holds, without access rules."""
         if item.sign_bit:
-            value = abs(value) | (1 << item.sign_bit if value < 0 else 0)
+            low = (1 << item.sign_bit) - 1
+            value = (abs(value) & ~low) << 1 | (abs(value) & low) | (low + 1 if value < 0 else 0)
         raw = (value % (1 << 8 * item.size)).to_bytes(item.size, self._order)
         self.memory[item.address : item.address + item.size] = raw
 

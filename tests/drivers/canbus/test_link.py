@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -73,6 +74,14 @@ def test_an_interface_nobody_knows_and_a_port_that_is_not_there_are_named(tmp_pa
         open_interface(BusConfig("slacn", "x", 1_000_000))
     with pytest.raises(DriverError, match="there is no such port"):
         open_interface(BusConfig("slcan", str(tmp_path / "nothing"), 1_000_000))
+
+
+def test_the_port_of_a_serial_adapter_passes_bytes_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    modes: list[bool] = []
+    bus = SimpleNamespace(serialPortOrig=SimpleNamespace(set_low_latency_mode=modes.append))
+    monkeypatch.setattr(can, "Bus", lambda **_: bus)
+    open_interface(BusConfig("slcan", "/dev/ttyUSB0", 1_000_000))
+    assert modes == [True]
 
 
 def test_a_missing_interface_or_permission_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:

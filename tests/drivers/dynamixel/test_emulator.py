@@ -11,7 +11,7 @@ from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
 from sim_backend.wire.dynamixel.tables import MODELS, RPM
 from sim_backend.wire.packets.bus import PacketBus, PacketTiming
-from sim_backend.wire.packets.frames import Error, packet, status
+from sim_backend.wire.packets.frames import Error, Frame, Instruction, packet, status
 from sim_backend.wire.packets.regulator import COUNT
 
 TORQUE_ENABLE, WATCHDOG = 64, 98
@@ -178,3 +178,12 @@ def test_serving_in_the_foreground_ends_with_stop_and_takes_the_link_away(tmp_pa
     line.stop()
     line.serve()
     assert not line.link.is_symlink()
+
+
+@pytest.mark.parametrize(("model", "newest"), [("xh540-w150", True), ("mx-64-2", False)])
+def test_an_mx_with_protocol_2_has_neither_backups_nor_fast_reads(model: str, newest: bool) -> None:
+    device = DynamixelDevice(model)
+    assert (Instruction.FAST_SYNC_READ in device.line.together) == newest
+    error, _ = device.answer(Frame(1, Instruction.BACKUP, b"\x01CTRL", True, 15), 0.1) or (None, b"")
+    assert error == (Error.NONE if newest else Error.INSTRUCTION)
+    assert device.read(40, 4, 0.1)[0] == (Error.ACCESS if newest else Error.NONE)  # Acceleration Limit

@@ -208,6 +208,24 @@ def test_an_unknown_instruction_and_a_damaged_one_are_distinguished() -> None:
     assert (unknown.data[4], damaged.data[4]) == (MX_INSTRUCTION, MX_CHECKSUM)
 
 
+def test_a_set_lock_protects_the_eeprom_and_itself_until_the_power_is_off(make_rig: Make) -> None:
+    rig = make_rig("mx-64")
+    device = rig.device
+    assert device.write(47, b"\x00") == 0
+    device.write(47, b"\x01")
+    assert [device.write(47, b"\x00"), device.write(11, b"\x46"), device.write(34, b"\x10\x00")] == [
+        MX_RANGE,
+        MX_RANGE,
+        0,
+    ]
+    assert (device.get("lock"), device.get("temperature_limit")) == (1, 80)
+    with pytest.raises(DriverError, match=r"EEPROM is locked.+power off and on"):
+        rig.open()
+    assert not rig.motor.enabled
+    device.reboot(5.0)
+    assert device.write(11, b"\x46") == 0
+
+
 # --- the adapter on it ------------------------------------------------------------------------------------------------
 
 

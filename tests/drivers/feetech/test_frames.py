@@ -155,14 +155,6 @@ def test_the_lock_decides_whether_the_eeprom_outlives_the_power() -> None:
         assert device.get("temperature_limit") == kept
 
 
-def test_128_written_to_torque_enable_makes_the_present_position_the_middle() -> None:
-    device = FeetechDevice("sts3215")
-    assert device.read(56, 2, 0.0)[1] == b"\x00\x00"
-    device.write(40, b"\x80")
-    assert device.read(56, 2, 0.0)[1] == (2048).to_bytes(2, "little")
-    assert not device.motor.enabled
-
-
 LEROBOT = {
     "sts": {"return_delay": 7, "response_level": 8, "min_position_limit": 9, "max_position_limit": 11}
     | {"temperature_limit": 13, "phase": 18, "angular_resolution": 30, "operating_mode": 33, "torque_enable": 40}

@@ -248,7 +248,7 @@ def test_a_servo_of_an_unknown_kind_is_refused_with_its_registers_and_nothing_is
     rig = make_feetech("sts3215")
     rig.device.put("sub_version", 99)
     with pytest.raises(
-        DriverError, match=r"not known here \(version 9\.99, firmware 3\.6\).+ 0: 03 06 00 09 63.+ 64: "
+        DriverError, match=r"not known here \(version 9\.99, firmware 3\.10\).+ 0: 03 0a 00 09 63.+ 64: "
     ) as e:
         rig.open()
     assert "nothing was written" in str(e.value)

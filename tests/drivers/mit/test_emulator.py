@@ -34,6 +34,18 @@ def fastest(device: MitDevice, seconds: float) -> float:
     return highest
 
 
+def test_a_register_is_kept_without_power_once_it_is_stored() -> None:
+    device = motor_in(SPEED)
+    store = CanFrame(0x7FF, bytes([5, 0, 0xAA, 1, 0, 0, 0, 0]))
+    device.handle(store, 0.0)  # not while it is enabled
+    device.reboot(0.0)
+    assert device.values[10] == 1.0
+    device.handle(CanFrame(0x7FF, bytes([5, 0, 0x55, 10, SPEED, 0, 0, 0])), 1.0)
+    device.handle(store, 1.0)
+    device.reboot(1.0)
+    assert device.values[10] == float(SPEED)
+
+
 def test_force_position_goes_to_its_position_within_the_speed_that_it_is_given() -> None:
     device = motor_in(FORCE_POSITION)
     tell(device, FORCE_POSITION, struct.pack("<fHH", 0.2, 200, 10_000))  # 2 rad/s

@@ -12,9 +12,11 @@ from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.odrive.device import BROADCAST, CLOSED_LOOP, ESTOP, IDLE, OdriveDevice
+from sim_backend.wire.odrive.endpoints import flat_endpoints
 
 ESTOP_COMMAND, ADDRESS, STATE, MODE, INPUT_POS, INPUT_VEL, TORQUE = 0x02, 0x06, 0x07, 0x0B, 0x0C, 0x0D, 0x0E
 REBOOT, CLEAR = 0x16, 0x18
+SUCCESS, BUSY, CANCELLED, NO_ENDSTOP, INVALID = 0, 1, 2, 12, 13
 FIRMWARES = ["0.5.6", "0.6.10"]
 
 
@@ -152,3 +154,77 @@ def test_position_control_keeps_to_the_velocity_limit() -> None:
     tell(device, INPUT_POS, struct.pack("<fhh", 10.0, 0, 0))
     gain = device.endpoints.get("axis0.controller.config.vel_gain")
     assert device.motor.demand == pytest.approx(0.5 * gain, rel=1e-6)
+
+
+def heartbeat(device: OdriveDevice, now: float) -> tuple[int, int, int]:
+    """Errors, state and procedure result (0.5.6: motor flag) of the last heartbeat before `now`."""
+    beats = [frame.data for t in (now - 0.1, now) for frame in device.unasked(t) if frame.ident & 0x1F == 0x01]
+    errors, state, result = struct.unpack("<IBB", beats[-1][:6])
+    return errors, state, result
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+@pytest.mark.parametrize(
+    ("request_", "passed", "seconds"), [(3, [4, 7], 13.25), (4, [4], 4.25), (7, [7], 9.0), (2, [], 0.0)]
+)
+def test_a_procedure_that_is_requested_in_closed_loop_ends_it_and_leaves_the_axis_idle(
+    firmware: str, request_: int, passed: list[int], seconds: float
+) -> None:
+    device = driven(firmware)
+    tell(device, TORQUE, struct.pack("<f", 0.2))
+    tell(device, STATE, struct.pack("<I", request_))
+    assert not device.motor.enabled
+    seen = []
+    for tick in range(1, int(5 * seconds) + 3):
+        _, state, result = heartbeat(device, 0.1 + 0.2 * tick)
+        seen += [state] if state not in seen else []
+        assert state != IDLE or 0.2 * tick > seconds - 0.1
+        assert firmware == "0.5.6" or result == (SUCCESS if state == IDLE else BUSY)
+    assert seen == [*passed, IDLE]
+    assert device.errors == 0
+
+
+@pytest.mark.parametrize(
+    ("request_", "error", "result"), [(11, 0x20000, NO_ENDSTOP), (12, 1, INVALID), (99, 1, INVALID)]
+)
+def test_a_state_that_the_axis_cannot_enter_ends_closed_loop_too(request_: int, error: int, result: int) -> None:
+    for firmware in FIRMWARES:
+        device = driven(firmware)
+        tell(device, STATE, struct.pack("<I", request_))
+        errors, state, outcome = heartbeat(device, 0.2)
+        assert (state, device.motor.enabled) == (IDLE, False)
+        assert (errors, outcome) == ((error, 0) if firmware == "0.5.6" else (0, result))
+    tell(device, STATE, struct.pack("<I", 0))
+    assert device.state == IDLE
+
+
+def test_a_calibration_can_be_cancelled_and_is_needed_before_closed_loop() -> None:
+    device = OdriveDevice(3)
+    device.calibrated = False
+    for request_ in (CLOSED_LOOP, 7):
+        tell(device, STATE, struct.pack("<I", request_))
+        assert heartbeat(device, 0.3)[1:] == (IDLE, 14)
+    tell(device, STATE, struct.pack("<I", 3), 0.3)
+    tell(device, STATE, struct.pack("<I", IDLE), 5.0)
+    assert heartbeat(device, 5.1)[1:] == (IDLE, CANCELLED)
+    tell(device, STATE, struct.pack("<I", 3), 5.1)
+    assert heartbeat(device, 18.5)[1:] == (IDLE, SUCCESS)
+    tell(device, STATE, struct.pack("<I", CLOSED_LOOP), 18.5)
+    assert device.state == CLOSED_LOOP
+
+
+def test_parameters_report_and_request_the_state_and_take_what_messages_write() -> None:
+    device = driven()
+    numbers = {name: row["id"] for name, row in flat_endpoints("0.6.10")["endpoints"].items()}  # type: ignore[attr-defined]  # JSON is object
+
+    def sdo(writes: int, name: str, value: bytes = bytes(4)) -> bytes:
+        replies = tell(device, 0x04, struct.pack("<BHB4s", writes, numbers[name], 0, value), 0.2)
+        return replies[0].data[4:] if replies else b""
+
+    assert sdo(0, "axis0.current_state")[0] == CLOSED_LOOP
+    sdo(1, "axis0.requested_state", b"\x01")
+    assert (device.state, sdo(0, "axis0.current_state")[0]) == (IDLE, IDLE)
+    tell(device, 0x12, struct.pack("<ff", 3.0, 4.0))
+    assert struct.unpack("<f", sdo(0, "axis0.trap_traj.config.decel_limit")) == (4.0,)
+    sdo(1, "axis0.config.can.torques_msg_rate_ms", struct.pack("<I", 20))
+    assert [frame.ident & 0x1F for frame in device.unasked(0.23)].count(0x1C) == 1

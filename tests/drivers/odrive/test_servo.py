@@ -13,7 +13,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from drivers.odrive.config import OdriveConfig
-from drivers.servo import Command, DriverError, Limits, Quantity
+from drivers.servo import Command, DriverError, Limits, NoReply, Quantity
 from sim_backend.wire.odrive.device import CLOSED_LOOP, IDLE, OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 
@@ -174,3 +174,29 @@ def test_one_tick_is_five_frames_and_their_time_on_the_wire(make_odrive: Make) -
     # with all stuff bits 135 for 8 bytes, 55 for a remote frame; turnaround and the adapter's latency beside
     wire = (3 * 135 + 2 * 55) * 1e-6 + 2 * 5e-5 + 1e-4
     assert rig.clock.now() - begin == pytest.approx(wire, abs=2e-4)
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_an_axis_with_a_heartbeat_of_1_s_is_opened_armed_driven_and_proven_off(
+    make_odrive: Make, firmware: str
+) -> None:
+    rig = make_odrive(firmware)
+    rig.device.endpoints.put("axis0.config.can.heartbeat_msg_rate_ms", 1000.0)
+    servo = rig.open()
+    servo.arm(LIMITS)
+    for _ in range(20):
+        rig.wait(2e-3)
+        servo.exchange(torque(0.1))
+    assert rig.motor.enabled
+    servo.disarm()
+    assert not rig.motor.enabled
+    servo.close()
+
+
+@pytest.mark.parametrize("firmware", FIRMWARES)
+def test_an_axis_without_a_heartbeat_is_told_from_one_that_does_not_answer(make_odrive: Make, firmware: str) -> None:
+    rig = make_odrive(firmware)
+    rig.device.endpoints.put("axis0.config.can.heartbeat_msg_rate_ms", 0.0)
+    rig.device._next["heartbeat"] = math.inf
+    with pytest.raises(NoReply, match=r"axis 0 answers, but sends no heartbeat within 2\.5 s.+heartbeat_msg_rate_ms"):
+        rig.open()
