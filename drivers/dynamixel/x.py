@@ -39,7 +39,7 @@ class XSeries:
 
     eeprom_end = 64
     block = (120, 27)
-    off: tuple[str, ...] = ("torque_enable", "goal_current")
+    off: tuple[str, ...] = ("goal_current", "torque_enable")  # a goal may switch the torque on (Drive Mode bit 3)
     zero_after_off: tuple[str, ...] = ("bus_watchdog",)  # it may have tripped
     velocity_lsb = VELOCITY_LSB
 

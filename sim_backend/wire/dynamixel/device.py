@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.dynamixel.control_table import ControlTable
+from sim_backend.wire.dynamixel.control_table import GOALS, ControlTable
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
@@ -38,6 +38,8 @@ VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of Hardware Error Status(70)."""
 
 _PWM_LSB = 1.0 / 885.0
+_ON_BY_GOAL = 0x08
+"""The bit of Drive Mode(10) with which the write of a goal switches the torque on."""
 _TOGETHER = frozenset({Instruction.SYNC_READ, Instruction.SYNC_WRITE, Instruction.BULK_READ, Instruction.BULK_WRITE})
 _FAST = _TOGETHER | {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
 
@@ -199,6 +201,8 @@ class DynamixelDevice:
             self._mode_changed()
         if "torque_enable" in names:
             self._torque(on=bool(self.registers.get("torque_enable")))
+        elif self.registers.get("drive_mode") & _ON_BY_GOAL and names.intersection(GOALS):
+            self._torque(on=True)
         self._hand_over_goals()
         return Error.NONE
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -187,3 +189,17 @@ def test_an_mx_with_protocol_2_has_neither_backups_nor_fast_reads(model: str, ne
     error, _ = device.answer(Frame(1, Instruction.BACKUP, b"\x01CTRL", True, 15), 0.1) or (None, b"")
     assert error == (Error.NONE if newest else Error.INSTRUCTION)
     assert device.read(40, 4, 0.1)[0] == (Error.ACCESS if newest else Error.NONE)  # Acceleration Limit
+
+
+def test_a_goal_switches_the_torque_on_where_the_drive_mode_says_so_and_the_off_path_leaves_it_off(
+    make_rig: Callable[..., Any],
+) -> None:
+    rig = make_rig("xl330-m288")
+    assert rig.device.write(10, b"\x08") == Error.NONE
+    servo = rig.open()
+    assert put(rig.device, GOAL_POSITION, 100) == Error.NONE
+    assert rig.device.torque_on
+    for frame in servo.off_path().off:
+        rig.bus.receive(frame, rig.clock.now())
+    assert not rig.device.torque_on
+    servo.close()
