@@ -174,7 +174,7 @@ def test_a_procedure_that_is_requested_in_closed_loop_ends_it_and_leaves_the_axi
     tell(device, TORQUE, struct.pack("<f", 0.2))
     tell(device, STATE, struct.pack("<I", request_))
     assert not device.motor.enabled
-    seen = []
+    seen: list[int] = []
     for tick in range(1, int(5 * seconds) + 3):
         _, state, result = heartbeat(device, 0.1 + 0.2 * tick)
         seen += [state] if state not in seen else []
