@@ -68,6 +68,8 @@ def __getattr__(name: str) -> Any:
     for module, names in _PLACES.items():
         if name in names:
             return getattr(import_module(module), name)
+    if name == "__version__":
+        return import_module("importlib.metadata").version("hil")
     raise AttributeError(f"module 'hil' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 

@@ -5,12 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from ga.evolution.evolution import PRESETS, READINGS, Settings
 from ga.model.coupling import parse
+from hil.api.arrays import recorded
+from hil.api.recordings import LoadedRecording
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
@@ -24,7 +30,9 @@ from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
 from hil.report import identification_json, identification_page
+from hil.report.html_page import table_lines, table_rows
 from hil.report.pictures import canvas, files, result
+from hil.report.pictures.traces import modelled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,6 +40,7 @@ if TYPE_CHECKING:
     from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
 AnyPath = str | os.PathLike[str]
+Recordings = AnyPath | LoadedRecording | Sequence[AnyPath | LoadedRecording]
 Progress = Callable[[str, float], None]
 """A callback: it gets the name of the phase of the work and the completed fraction, 0 to 1."""
 
@@ -93,6 +102,31 @@ class IdentificationResult:
     def dynamic_stiffness(self) -> DynamicStiffness | None:
         """Stiffness and damping over frequency, estimated without a model; None if the recording is too short."""
         return self.identification.dynamic_stiffness
+
+    @property
+    def predicted(self) -> NDArray[np.float64]:
+        """The model's torque at the joint (n,), N m, for each row that was used."""
+        return modelled(self.identification)
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """Measured torque minus the model's torque (n,), N m, for each row that was used."""
+        return np.asarray(self.identification.signals.torque - self.predicted)
+
+    def summary(self) -> str:
+        """Return the answer, the table of the parameters, the warnings and the quality of the fit as text."""
+        lines = identification_report.identification_lines(self.identification)
+        return "\n".join([str(self), *table_lines(self._rows()), *(f"{one}" for one in self.diagnostics), *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the answer and the table of the parameters for a notebook."""
+        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
+        table = "".join(f"<tr>{row}</tr>" for row in rows)
+        said = "".join(f"<p>{escape(str(one))}</p>" for one in self.diagnostics)
+        return f"<p><b>{escape(str(self))}</b></p><table>{table}</table>{said}"
+
+    def _rows(self) -> list[list[str]]:
+        return table_rows(identification_report.estimates_table(self.identification))
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil identify --json`."""
@@ -181,9 +215,15 @@ class ComparisonResult:
 
 
 def identify(
-    recordings: AnyPath | Sequence[AnyPath],
+    recordings: Recordings | None = None,
     model: str | Coupling | None = None,
     *,
+    time: ArrayLike | None = None,
+    torque: ArrayLike | None = None,
+    dtheta: ArrayLike | None = None,
+    dtheta_dot: ArrayLike | None = None,
+    command: ArrayLike | None = None,
+    stand: AnyPath | None = None,
     preset: str = "default",
     trials: int | None = None,
     generations: int | None = None,
@@ -201,6 +241,8 @@ def identify(
 ) -> IdentificationResult:
     """Find the stiffness Kc and damping Bc of the coupling from one recording, or from several recordings together.
 
+    time to command: in place of recordings, arrays (n,) in SI or as pint quantities: the time, the torque at the joint,
+    the deflection, and, if known, its rate and the set-point of the torque. stand: the stand file for these arrays.
     model: "auto" (model selection), terms such as "linear+offset", "FILE.py:NAME", or a model object; None: "linear" if
     preset, bounds, checkpoint or fixture is given, otherwise "auto". preset: "default" or "paper". trials: number of
     independent searches. generations to replacement: settings of the genetic algorithm; None: the preset's
@@ -215,7 +257,8 @@ def identify(
     options: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     options |= {"selection": selection, "weights": weights, "replacement": replacement}
     search = _search(preset, options, trials=trials, bounds=bounds, seed=seed, workers=workers, checkpoint=checkpoint)
-    [task] = _tasks([_paths(recordings)], model, search, fixture)
+    arrays = {"time": time, "torque": torque, "dtheta": dtheta, "dtheta_dot": dtheta_dot, "command": command}
+    [task] = _tasks([_given(recordings, arrays, stand)], model, search, fixture)
     return _result(task, identified(task, progress))
 
 
@@ -289,9 +332,8 @@ def _no_result(task: Task, reason: Untrustworthy) -> NoResult:
 
 
 def compare(
-    recordings: Sequence[AnyPath],
+    *recordings: Recordings,
     model: str | Coupling = "auto",
-    *,
     trials: int | None = None,
     seed: int = 0,
     workers: int | None = None,
@@ -299,12 +341,13 @@ def compare(
 ) -> ComparisonResult:
     """Identify each recording separately, and test whether Kc and Bc repeat and whether they drift.
 
-    The arguments are those of `identify_each`. A recording from which nothing can be identified is left out with a
-    warning. Raises WrongUse for fewer than two recordings, for recordings of different stands, and for the same run
-    twice.
+    recordings: one after the other, or a sequence. The other arguments are those of `identify_each`. A recording from
+    which nothing can be identified is left out with a warning. Raises WrongUse for fewer than two recordings, for
+    recordings of different stands, and for the same run twice.
     """
     search = Search(trials=trials, seed=seed, workers=workers or os.cpu_count() or 1)
-    return ComparisonResult(comparison.compare(_paths(recordings), coupling_of(model), search, progress))
+    paths = [path for one in recordings for path in _paths(one)]
+    return ComparisonResult(comparison.compare(paths, coupling_of(model), search, progress))
 
 
 def coupling_of(model: str | Coupling) -> Coupling | None:
@@ -323,10 +366,21 @@ def coupling_of(model: str | Coupling) -> Coupling | None:
         raise WrongUse(f"--model {model!r}: {error}") from None
 
 
-def _paths(recordings: AnyPath | Sequence[AnyPath]) -> list[Path]:
-    if isinstance(recordings, str | os.PathLike):
-        return [Path(recordings)]
-    return [Path(recording) for recording in recordings]
+def _given(recordings: Recordings | None, arrays: Mapping[str, ArrayLike | None], stand: AnyPath | None) -> list[Path]:
+    """Return the paths of the recordings, or that of a recording of the arrays. Raises WrongUse for both or neither."""
+    has_arrays = any(values is not None for values in arrays.values())
+    if (recordings is not None) == has_arrays:
+        raise WrongUse("give either recordings, or the arrays time=, torque= and dtheta=")
+    if recordings is None:
+        return [recorded(arrays, None if stand is None else Path(stand))]
+    if stand is not None:
+        raise WrongUse("stand= belongs to arrays: a recording holds the data of its stand already")
+    return _paths(recordings)
+
+
+def _paths(recordings: Recordings) -> list[Path]:
+    several = [recordings] if isinstance(recordings, str | os.PathLike | LoadedRecording) else recordings
+    return [one.path if isinstance(one, LoadedRecording) else Path(one) for one in several]
 
 
 def _settings(preset: str, given: dict[str, Any]) -> Settings:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -22,8 +22,10 @@ from hil.cli.terminal import (
     out_table,
     print_diagnostics,
     print_json,
+    say,
 )
 from hil.errors import WrongUse, unknown
+from hil.report.expected import Expected, expectation, missed
 from hil.units import SI
 
 if TYPE_CHECKING:
@@ -35,6 +37,10 @@ Verbose = Annotated[
 ]
 
 
+Expect = Annotated[
+    list[str] | None,
+    typer.Option(help="Kc=VALUE:PERCENT% (or Bc): exit status 1 if the value or its interval is outside."),
+]
 _DIMENSIONS = {"Kc": ("stiffness",), "Bc": ("damping",)}  # of --bounds; others have units of their own
 
 
@@ -69,6 +75,7 @@ def identify(
     plot: Annotated[Path | None, typer.Option(help="Also write its pictures (PNG) into this folder.")] = None,
     force: options.Force = False,
     require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
+    expect: Expect = None,
     as_json: options.Json = False,
     verbose: Verbose = False,
     list_models: options.ListModels = False,
@@ -78,13 +85,13 @@ def identify(
     from hil.report.pictures.canvas import check_matplotlib
 
     del list_models  # is done before anything else is asked for
-    required = _required(require)
+    required, expected = _required(require), [expectation(text) for text in expect or ()]
     common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers}
     common |= {"bounds": dict(_bounds(text) for text in bounds or ()), "fixture": fixture}
     alone: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     alone |= {"selection": selection, "weights": weights, "replacement": replacement, "checkpoint": checkpoint}
     if each:
-        refuse_with_each(alone | {"report": report, "plot": plot})
+        refuse_with_each(alone | {"report": report, "plot": plot, "expect": expect})
         identify_each(recordings, model, common, required, as_json=as_json)
         return
     options.check_report(report, recordings, force=force)
@@ -96,14 +103,19 @@ def identify(
         with _failure_published(report, force=force, as_json=as_json), progress() as show:
             found = identify_recordings(recordings, model, progress=show, **(common | alone))
     publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
-    _end(found, checkpoint, required)
+    _end(found, checkpoint, required, expected)
 
 
-def _end(found: IdentificationResult, checkpoint: Path | None, required: tuple[str, ...]) -> None:
+def _end(
+    found: IdentificationResult, checkpoint: Path | None, required: tuple[str, ...], expected: Sequence[Expected]
+) -> None:
     """End the command with the exit status that follows from the result."""
     if found.interrupted:
         exit_interrupted(checkpoint)
-    if not meets(found, required):
+    wrong = missed(found.identification, expected)
+    for sentence in wrong:
+        say(f"error: {sentence}")
+    if wrong or not meets(found, required):
         raise typer.Exit(UNTRUSTWORTHY)
 
 

@@ -78,6 +78,11 @@ class Estimate:
         return max(self.ci95[1] - self.value, self.value - self.ci95[0])
 
     @property
+    def stderr(self) -> float:
+        """Return the standard error of a normal distribution with the same 95 % interval."""
+        return self.half_width / 1.96
+
+    @property
     def exact(self) -> float:
         """Return the exact optimum of the selected model, with which the optimiser's trials are compared."""
         return self.value if self.conditional is None else self.conditional.value

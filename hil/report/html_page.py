@@ -100,6 +100,13 @@ def table_rows(table: Table) -> list[list[str]]:
     return [list(row) for row in zip(*columns, strict=True)]
 
 
+def table_lines(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows of texts as lines, each column as wide as its longest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return [line.rstrip() for line in lines]
+
+
 def _embedded(table: Mapping[str, Any]) -> str:
     """Return JSON in which no text can end the script element that contains the JSON."""
     text = json.dumps(table, indent=1, allow_nan=False, default=str)

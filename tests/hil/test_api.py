@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pint
 import pytest
 
 import hil as api
@@ -120,9 +124,52 @@ def test_results_show_the_answer_first_and_draw_and_write_themselves(make_record
         result["Fc"]
 
 
+def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Maker) -> None:
+    loaded = api.load(make_recording(noise=2e-4, samples=600))
+    of_file = api.identify(loaded, "linear", trials=1)
+    torque = pint.UnitRegistry().Quantity(1e3 * loaded["torque"], "mN*m")
+    arrays = {"time": loaded["time"].tolist(), "dtheta": loaded["dtheta"], "dtheta_dot": loaded["dtheta_dot"]}
+    found = api.identify(model="linear", trials=1, torque=torque, **arrays)
+    assert found["Kc"].value == pytest.approx(of_file["Kc"].value, rel=1e-9)
+    assert found["Bc"].ci95 == pytest.approx(of_file["Bc"].ci95, rel=1e-9)
+    assert len(found.residuals) == len(found.predicted) <= 600
+    assert float(np.mean(np.abs(found.residuals))) == pytest.approx(found.identification.optimum, rel=2e-3)
+    assert found["Kc"].stderr == pytest.approx(found["Kc"].half_width / 1.96)
+    assert f"{found}" in found.summary()
+    assert "<td>Kc</td>" in found._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"torque": [1.0] * 9}, "dtheta missing"),
+        ({"dtheta": [1.0] * 8, "torque": [1.0] * 9}, r"different lengths \(time 9, torque 9, dtheta 8\)"),
+        ({"dtheta": [[1.0]] * 9, "torque": [1.0] * 9}, r"dtheta has the shape \(9, 1\)"),
+        ({"dtheta": [None, "x", *range(7)], "torque": [1.0] * 9}, "dtheta holds values that are no numbers"),
+        ({"dtheta": [math.nan] * 9, "torque": [1.0] * 9}, "holds 0 usable sample"),
+    ],
+)
+def test_arrays_that_are_no_recording_are_refused_in_a_sentence(arrays: dict[str, Any], said: str) -> None:
+    with pytest.raises((api.WrongUse, api.Untrustworthy), match=said):
+        api.identify(time=np.arange(9.0), **arrays)
+
+
+def test_one_sample_both_or_neither_are_refused(make_recording: Maker) -> None:
+    with pytest.raises(api.WrongUse, match="give either recordings, or the arrays"):
+        api.identify()
+    with pytest.raises(api.WrongUse, match="give either recordings, or the arrays"):
+        api.identify(make_recording(samples=100), time=[1.0])
+    with pytest.raises(api.WrongUse, match="1 samples determine neither"):
+        api.identify(time=[1.0], torque=[1.0], dtheta=[1.0])
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert api.__version__ == version("hil")
+
+
 def test_a_comparison_is_the_command_lines(hil: Hil, make_recording: Maker) -> None:
     paths = [make_recording(f"{seed}.h5", noise=2e-4, seed=seed, samples=500) for seed in range(2)]
-    result = api.compare(paths, "linear", trials=1)
+    result = api.compare(*paths, model="linear", trials=1)
     assert (
         json.loads(json.dumps(result.as_json()))
         == hil("compare", *paths, "--model", "linear", "--trials", 1, "--json").json

@@ -28,7 +28,7 @@ def compare(
 
     options.check_report(report, recordings, force=force)
     with progress() as show:
-        found = analysis.compare(recordings, model, trials=trials, seed=seed, workers=workers, progress=show)
+        found = analysis.compare(recordings, model=model, trials=trials, seed=seed, workers=workers, progress=show)
     if as_json:
         print_json(found.as_json())
     else:

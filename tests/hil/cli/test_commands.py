@@ -261,6 +261,22 @@ def test_the_demo_runs_the_main_job_and_says_where_the_files_are(hil: Hil, tmp_p
     assert re.search(r"^true Bc of the simulated joint: 0\.19 mN m s/rad; the interval, .*, holds it$", ended.out, re.M)
 
 
+def test_a_result_that_leaves_the_expected_band_ends_in_status_one_with_the_reason(
+    hil: Hil, make_recording: Maker
+) -> None:
+    words = ("identify", make_recording(noise=1e-4, kc=0.02, bc=2e-4), "--model", "linear", "--trials", 1)
+    assert hil(*words, "--expect", "Kc=20mN*m/rad:2%", "--expect", "Bc=0.0002:20%").status == 0
+    for band, reason in (
+        ("Kc=21mN*m/rad:2%", "Kc is 19.9"),
+        ("Kc=0.02:0.15%", "the 95 % interval of Kc"),
+        ("Bc=0.3mN*m*s/rad:20%", "Bc is "),
+    ):
+        ended = hil(*words, "--expect", band)
+        assert (ended.status, f"--expect {band}" in ended.err, reason in ended.err) == (1, True, True), ended.err
+    for band in ("Kc", "Kc=20", "Fc=1:2%", "Kc=20kg:2%", "Kc=nan:2%", "Kc=20:-2%", "Kc=20:2"):
+        assert hil(*words, "--expect", band).status == 2
+
+
 def test_identify_answers_first_and_shows_its_tables_only_when_asked(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(noise=1e-4, samples=600)
     brief, verbose = (hil("identify", path, "--trials", 1, *words).out for words in ((), ("--verbose",)))
