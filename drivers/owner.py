@@ -97,6 +97,7 @@ def in_use(link: str, pid: int) -> DriverError:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode("utf-8", "replace").split("\0")
     except OSError:
         return DriverError(f"{link} is in use: {means}; another program has it open: close that first")
+    words[:2] = [word.rpartition("/")[2] for word in words[:2]]  # the interpreter and the program
     command = "".join(one if one.isprintable() else "?" for one in " ".join(words).strip()[:_COMMAND])
     return DriverError(
         f"{link} is in use by process {pid} ({command}): {means}. Wait until it has ended, or end it with kill {pid}"

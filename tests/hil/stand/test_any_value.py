@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -69,7 +69,12 @@ WINDINGS: tuple[dict[str, Any], ...] = (
 @cache
 def keys(backend: str) -> list[tuple[str, str]]:
     """Return (table, key) of every value that a stand file of this backend may have."""
-    kinds = {"stand": StandTable, "limits": LimitsTable, "winding": WindingTable, "calibration": CalibrationTable}
+    kinds: dict[str, Any] = {
+        "stand": StandTable,
+        "limits": LimitsTable,
+        "winding": WindingTable,
+        "calibration": CalibrationTable,
+    }
     kinds |= {backend: BACKENDS[backend].table_class(), "joint_sensor": SENSORS["loadcell"].table_class()}
     return [found for name, kind in kinds.items() for found in inside(kind, name, ())]
 
@@ -144,7 +149,7 @@ def build(stand: Stand, backend: str) -> None:
     rig = None
     servo: Servo
     if backend == "sim":
-        servo = SimServo(stand.simulated(), seed=0, clock=VirtualClock())
+        servo = cast("Servo", SimServo(stand.simulated(), seed=0, clock=VirtualClock()))
     elif new_rig is None:
         servo = open_backend(backend, table, Quantity.TORQUE)
     else:
