@@ -79,8 +79,8 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
         return _whole(source, _Columns(list(found), lambda names: [found[name] for name in names]))
-    if (found := formats.columns(source, topic, joint)) is not None:
-        return _whole(source, _Columns(*found))
+    if (read := formats.columns(source, topic, joint)) is not None:
+        return _whole(source, _Columns(*read))
     with formats.as_text(source, topic) as text:
         written = _bounded_if_packed(text, partial(delimited.titles, text))
     if text != source:

@@ -54,6 +54,7 @@ from sim_backend.wire.mit import device as mit
 from sim_backend.wire.moteus import device as moteus
 from sim_backend.wire.moteus.command import POSITION as MOTEUS_POSITION
 from sim_backend.wire.odrive import device as odrive
+from sim_backend.wire.odrive import states as odrive_states
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 from sim_backend.wire.robstride import device as robstride
 
@@ -339,7 +340,7 @@ def an_odrive(firmware: str, **changes: Any) -> Drive:
         0.1,
         fresh=odrive_ages,
         restarted=ODRIVE_RESTARTED,
-        left_on=lambda rig: rig.device._request_state(odrive.CLOSED_LOOP),
+        left_on=lambda rig: rig.device._request_state(odrive_states.CLOSED_LOOP),
         ignore_off=sets("ignores_idle"),
         damages=cut_short(0, 3, 7),
         lates=each(0.001, 0.026, 0.001),
@@ -347,7 +348,7 @@ def an_odrive(firmware: str, **changes: Any) -> Drive:
         links=GONE,
         deadline=0.008 + 1e-3,
         step=3,
-        off=lambda rig: rig.device.state == odrive.IDLE and not rig.motor.enabled,
+        off=lambda rig: rig.device.state == odrive_states.IDLE and not rig.motor.enabled,
         quiet=lambda rig: rig.device._next.update(encoder=1e9),  # what it sends unasked would do as well
         absent=(5, r"no ODrive axis 5 answers.*heartbeat"),
         twins=(another(lambda: odrive.OdriveDevice(0, firmware=firmware), _offset=1.0),),

@@ -190,10 +190,10 @@ class PacketBus:
             return self._fast(wanted, present, now)
         packets = []
         for ident, address, size in wanted:
-            device = present.get(ident)
-            if device is not None and device.line.level > 0:
-                error, data = device.read(address, size, now)
-                packets.append((device, self._status(ident, device.alerted(error), data)))
+            asked = present.get(ident)
+            if asked is not None and asked.line.level > 0:
+                error, data = asked.read(address, size, now)
+                packets.append((asked, self._status(ident, asked.alerted(error), data)))
             elif self._protocol == 1 and frame.instruction == Instruction.BULK_READ:
                 break
         return self._timed(packets, now)

@@ -15,7 +15,8 @@ from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.slcan import SlcanAdapter, slcan_line
 from sim_backend.wire.faults import Unplug
-from sim_backend.wire.odrive.device import IDLE, OdriveDevice
+from sim_backend.wire.odrive.device import OdriveDevice
+from sim_backend.wire.odrive.states import IDLE
 from sim_backend.wire.uart.pty_line import PtyLine
 
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))

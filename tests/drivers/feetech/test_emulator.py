@@ -82,21 +82,25 @@ def test_a_calibration_moves_the_reading_and_not_the_shaft_and_outlives_the_powe
     assert position(device) == (read or 0)
 
 
+def is_on(device: FeetechDevice) -> bool:
+    return device.motor.enabled
+
+
 @pytest.mark.parametrize("model", ["sts3215", "hls3930m", "scs0009"])
 def test_a_write_of_the_goal_switches_the_torque_on_and_of_the_speed_in_speed_mode(model: str) -> None:
     device = FeetechDevice(model)
     device.write(SPEED, b"\x00\x10")
-    assert not device.motor.enabled
+    assert not is_on(device)
     device.write(GOAL, b"\x00\x10")
-    assert device.motor.enabled
+    assert is_on(device)
     assert device.read(TORQUE, 1, 0.0)[1] == b"\x01"
     if model != "scs0009":
         device.write(TORQUE, b"\x00")
         device.write(33, b"\x01")
         device.write(GOAL, b"\x00\x10")
-        assert not device.motor.enabled
+        assert not is_on(device)
         device.write(SPEED, b"\x00\x00")
-        assert device.motor.enabled
+        assert is_on(device)
 
 
 @pytest.mark.parametrize(("model", "mode"), [("sts3215", "position"), ("hls3930m", "position"), ("hls3930m", "torque"),

@@ -11,8 +11,9 @@ import pytest
 from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.odrive.device import BROADCAST, CLOSED_LOOP, ESTOP, IDLE, OdriveDevice
+from sim_backend.wire.odrive.device import BROADCAST, ESTOP, OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
+from sim_backend.wire.odrive.states import CLOSED_LOOP, IDLE
 
 ESTOP_COMMAND, ADDRESS, STATE, MODE, INPUT_POS, INPUT_VEL, TORQUE = 0x02, 0x06, 0x07, 0x0B, 0x0C, 0x0D, 0x0E
 REBOOT, CLEAR = 0x16, 0x18

@@ -14,8 +14,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.odrive.config import OdriveConfig
 from drivers.servo import Command, DriverError, Limits, NoReply, Quantity
-from sim_backend.wire.odrive.device import CLOSED_LOOP, IDLE, OdriveDevice
+from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
+from sim_backend.wire.odrive.states import CLOSED_LOOP, IDLE
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))

@@ -238,7 +238,7 @@ ROWS = [[0.0, 0.1, 0.5], [0.1, 0.2, 0.6], [0.2, 0.3, 0.7]]
 
 
 def test_a_sheet_is_read_below_merged_headings_and_a_line_of_units(tmp_path: Path) -> None:
-    top = [["Bench, left"], ["time", "Motor, both"], [None, "tau, cell", "angle"], ["s", "N*m", "rad"]]
+    top: list[list[Any]] = [["Bench, left"], ["time", "Motor, both"], [None, "tau, cell", "angle"], ["s", "N*m", "rad"]]
     path = workbook(tmp_path / "a.xlsx", "A1:C1 B2:C2 A2:A3", S=[*top, *ROWS], empty=[])
     assert open_table(path).titles == ["time [s]", "tau, cell [N*m]", "angle [rad]"]
     np.testing.assert_array_equal(read(path, "time", "angle"), [[0.0, 0.1, 0.2], [0.5, 0.6, 0.7]])
