@@ -63,8 +63,16 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
                 is_database = file.read(len(_DATABASE)) == _DATABASE
             if is_database:
                 _check_tables(path)
-        with rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
-            return _read(source, reader, topic, joint)
+        try:
+            with rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
+                return _read(source, reader, topic, joint)
+        except rosbags.Error as error:
+            if "Profile" not in str(error):
+                raise
+            raise WrongUse(
+                f"{source} is an MCAP whose messages are not those of ROS 2, but such as JSON or protobuf, which hil "
+                "does not read: save the topic as CSV, for example with PlotJuggler"
+            ) from None
 
     return bounded(source, read)
 
@@ -73,10 +81,10 @@ class _Library:
     """The parts of the library rosbags that this module uses."""
 
     def __init__(self) -> None:
-        from rosbags.highlevel import AnyReader
+        from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
 
-        self.AnyReader = AnyReader
+        self.AnyReader, self.Error = AnyReader, AnyReaderError
         self.typestore = get_typestore(Stores.LATEST)  # for bags that do not hold the definitions of their messages
 
 

@@ -122,6 +122,18 @@ def test_a_type_whose_definition_the_bag_lacks_is_named(tmp_path: Path) -> None:
         bags.columns(source, "/wrench", None)
 
 
+def test_an_mcap_of_other_messages_is_named_as_such(tmp_path: Path) -> None:
+    mcap = pytest.importorskip("mcap.writer")
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = mcap.Writer(file)
+        writer.start()
+        channel = writer.register_channel("/cell", "json", 0)
+        writer.add_message(channel, 10**18, b'{"tau": 1.0}', 10**18)
+        writer.finish()
+    with pytest.raises(WrongUse, match="an MCAP whose messages are not those of ROS 2"):
+        bags.columns(tmp_path / "a.mcap", "/cell", None)
+
+
 @pytest.mark.parametrize("damage", ["cut", "junk", "empty", "bytes"])
 def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
     [source] = bag(tmp_path / "bag", storage="mcap").glob("*.mcap")
