@@ -45,11 +45,12 @@ from hil.calibration.points import read_points
 from hil.campaign import plan
 from hil.campaign.journal import NAME, Journal
 from hil.errors import Untrustworthy, WrongUse
-from hil.exchange import bags, delimited, plotjuggler
+from hil.exchange import bags, plotjuggler
 from hil.exchange.coupling import of_result
 from hil.exchange.exporter import export
 from hil.exchange.readers import formats
 from hil.exchange.row_filter import RowFilter
+from hil.exchange.text import rows
 from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand import fault_file
@@ -188,10 +189,10 @@ def _file(name: str, work: Callable[[Path], object]) -> Callable[[bytes], object
 
 
 def _table(path: Path) -> None:
-    titles = delimited.titles(path)
+    titles = rows.titles(path)
     with declining():
         plotjuggler.renamed(path, titles, None, "finger")
-    delimited.read(path, range(min(3, len(titles))), [])
+    rows.read(path, titles, range(min(3, len(titles))), [])
 
 
 def _heat(_path: Path) -> None:

@@ -136,6 +136,7 @@ _SIGNS = str.maketrans(
     {"⁻": "-", "⁰": "0", "¹": "1", "²": "2", "³": "3", "\u2212": "-", "º": "°", "˚": "°", "·": "*", "⋅": "*", "•": "*"}
     | {"\u2219": "*", "\u00d7": "*"}
 )
+_TIMED = re.compile(r"\b\w?s\b")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 _LONGEST = 40  # characters of a unit; what is longer is no unit
 _MOST_READINGS = 512  # of one text
@@ -254,7 +255,7 @@ def _factor(dimension: str, expression: str) -> float | None:
     except (pint.PintError, *_NOT_PARSED):
         return None
     weight = 1.0
-    if unit.dimensionality != wanted.dimensionality:
+    if unit.dimensionality != wanted.dimensionality and not _TIMED.search(expression):  # N*s*s is no mass on a lever
         unit, weight = unit * registry.meter / registry.second**2, _STANDARD_GRAVITY
     if unit.dimensionality != wanted.dimensionality:
         return None

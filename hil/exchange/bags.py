@@ -4,9 +4,7 @@ rosbags.
 
 from __future__ import annotations
 
-import math
 import sqlite3
-from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
@@ -17,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, meant
+from hil.exchange import messages
 from hil.exchange.headings import heading, listed
 from hil.recording.channels import CHANNELS
 from hil.recording.input import bounded, open_input
@@ -33,7 +32,6 @@ UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
 _DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
 _DATABASE = b"SQLite format 3\0"  # at the begin of one
-_MOST_NUMBERS = 64  # of one array in a message
 _MOST_FILES = 10_000
 _NO_TABLES = """
     SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%'
@@ -129,26 +127,39 @@ def _check_tables(path: Path) -> None:
 def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> dict[str, Array]:
     kinds = {connection.topic: connection.msgtype for connection in reader.connections}
     topic = _topic(source, kinds, topic)
-    messages = _messages(reader, topic)
     kind = kinds[topic]
     if kind not in reader.typestore.types:
         raise WrongUse(
             f"{source} lacks the definition of {kind}, the type of {topic}, so no message can be read: convert "
             "the bag to MCAP, which keeps definitions, where the type is installed: ros2 bag convert"
         )
-    if kind == JOINT_STATE:
-        return _of_joint(source, topic, messages, joint)
-    if joint is not None:
+    found = messages.columns(f"{source}: {topic}", _messages(reader, topic), joint, alone=kind == JOINT_STATE)
+    if not found.read:
+        raise WrongUse(f"{source}: {topic} has no messages: name another --topic; {_has(kinds)}")
+    if joint is not None and not found.joints:
         raise WrongUse(f"{source}: {topic} holds {kind}, which has no joints: omit --joint, or name another --topic")
-    found = _of_any(source, topic, messages)
+    if not found.stamps or (found.joint is None and kind == JOINT_STATE):
+        asked = "name the joint with --joint" if joint is None else f"{topic} has no joint {joint!r}"
+        raise WrongUse(f"{source}: {asked}; it has {listed(found.joints)}")
     if kind == SAMPLE:
-        return {heading(name): values for name, values in found.items() if name in CHANNELS}
-    return found
+        return {heading(name): values for name, values in found.numbers.items() if name in CHANNELS}
+    numbers = found.numbers
+    if found.joint is not None:  # an interface of ros2_control is in SI as a joint state is
+        numbers = {
+            f"{name} [{UNITS[name]}]" if name in UNITS else name: values
+            for name, values in numbers.items()
+            if np.isfinite(values).any()
+        }
+    return numbers if "time" in numbers else {"time [s]": _seconds(found.stamps)} | numbers
+
+
+def _has(kinds: Mapping[str, str]) -> str:
+    return f"it has {listed([f'{name} ({kind})' for name, kind in sorted(kinds.items())])}" if kinds else "it has none"
 
 
 def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
     """Return the topic to read. Raises WrongUse, with the list of topics, if the topic is missing or not clear."""
-    has = f"it has {listed([f'{name} ({kind})' for name, kind in sorted(kinds.items())])}" if kinds else "it has none"
+    has = _has(kinds)
     if topic is not None:
         for name in (topic, f"/{topic}"):
             if name in kinds:
@@ -171,63 +182,6 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         own = 0 if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
         yield own or received, message
-
-
-def _of_joint(source: Path, topic: str, messages: Iterator[tuple[int, Any]], joint: str | None) -> dict[str, Array]:
-    """Return the columns of one joint. Raises WrongUse, with the list of joints, if the joint is missing or not
-    clear.
-    """
-    kept: dict[str, array[float]] = {name: array("d") for name in UNITS}
-    joints: dict[str, None] = {}
-    stamps = array("q")
-    for stamp, message in messages:
-        joints.update(dict.fromkeys(message.name))
-        wanted = joint if joint is not None else next(iter(joints), None)
-        if wanted not in message.name:
-            continue
-        at = message.name.index(wanted)
-        stamps.append(stamp)
-        for name, values in kept.items():
-            read = getattr(message, name)
-            values.append(float(read[at]) if at < len(read) else math.nan)
-    if (joint is None and len(joints) != 1) or not stamps:
-        asked = "name the joint with --joint" if joint is None else f"{topic} has no joint {joint!r}"
-        raise WrongUse(f"{source}: {asked}; " + (f"it has {listed(list(joints))}" if joints else "it has no messages"))
-    numbers = {name: np.array(values) for name, values in kept.items()}
-    empty = [name for name, values in numbers.items() if not np.isfinite(values).any()]
-    named = {f"{name} [{unit}]": numbers[name] for name, unit in UNITS.items() if name not in empty}
-    return {"time [s]": _seconds(stamps)} | named
-
-
-def _of_any(source: Path, topic: str, messages: Iterator[tuple[int, Any]]) -> dict[str, Array]:
-    """Return all numbers in the messages, as columns by their path in a message. The first message determines the
-    paths.
-    """
-    stamps = array("q")
-    kept: dict[str, array[float]] = {}
-    for stamp, message in messages:
-        numbers = dict(_numbers("", message))
-        kept = kept if stamps else {name: array("d") for name in numbers}
-        stamps.append(stamp)
-        for name, values in kept.items():
-            values.append(numbers.get(name, math.nan))
-    if not stamps:
-        raise WrongUse(f"{source}: {topic} has no messages")
-    found = {name: np.array(values) for name, values in kept.items()}
-    return found if "time" in found else {"time [s]": _seconds(stamps)} | found
-
-
-def _numbers(path: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a message or of a part of a message, each with its path: "wrench.torque.z", "data[0]"."""
-    if isinstance(value, bool | int | float | np.number):
-        yield path, float(value)
-    elif isinstance(value, np.ndarray | list) and 0 < len(value) <= _MOST_NUMBERS:
-        for index, item in enumerate(value):
-            yield from _numbers(f"{path}[{index}]", item)
-    else:
-        for name in getattr(value, "__dataclass_fields__", ()):
-            if name not in {"__msgtype__", "header"}:
-                yield from _numbers(f"{path}.{name}" if path else name, getattr(value, name))
 
 
 def _seconds(stamps: Sequence[int]) -> Array:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -12,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, meant
-from hil.exchange import bags, delimited, headings, plotjuggler
+from hil.exchange import bags, headings, plotjuggler
 from hil.exchange.readers import formats
 from hil.exchange.readers.columns import numbers
 from hil.exchange.row_filter import RowFilter
+from hil.exchange.text import rows
 from hil.recording.input import bounded
 
 Answer = TypeVar("Answer")
@@ -29,12 +31,14 @@ class Table:
 
     titles: headings. reader: function that reads columns by their indices. joins_topics: whether the table joins
     several topics, so that a row has empty cells for the topics that were not received at its time.
+    lost: what could not be read, as sentences, after `read`.
     """
 
     source: Path
     titles: Sequence[str]
     reader: Callable[[Sequence[int], Sequence[tuple[int, RowFilter]]], tuple[Array, Rows]]
     joins_topics: bool = False
+    lost: list[str] = field(default_factory=list)
 
     def has(self, name: str) -> bool:
         """Return whether a column has this name, with or without a unit."""
@@ -49,10 +53,10 @@ class Table:
 
         def read(wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
             own = [at for at in wanted if at < len(self.titles)]
-            found, rows = self.reader([*own, *(at for at, _ in factors)], filters)
+            found, places = self.reader([*own, *(at for at, _ in factors)], filters)
             total = sum(factor * values for (_, factor), values in zip(factors, found[len(own) :], strict=True))
             columns = iter(found[: len(own)])
-            return np.stack([next(columns) if at < len(self.titles) else total for at in wanted]), rows
+            return np.stack([next(columns) if at < len(self.titles) else total for at in wanted]), places
 
         return replace(self, titles=[*self.titles, title], reader=read)
 
@@ -62,19 +66,22 @@ class Table:
         wanted: names as `place` accepts them. where: the filters. Raises WrongUse if no row passes, and for an error in
         the file, with its row.
         """
-        table, rows = self.reader(
+        table, places = self.reader(
             [self.place(name) for name in wanted], [(self.place(one.column), one) for one in where]
         )
-        if not len(rows):
+        if not len(places):
             what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
             raise WrongUse(f"{self.source}: {what}")
-        return table, rows
+        return table, places
 
 
-def open_table(source: Path, *, topic: str | None = None, joint: str | None = None) -> Table:
+def open_table(
+    source: Path, *, topic: str | None = None, joint: str | None = None, asked: Collection[str] = ()
+) -> Table:
     """Return the table in a file: CSV, Parquet, MATLAB, a topic of a ROS 2 bag, or a CSV that PlotJuggler exported.
 
-    topic, joint: select the columns of a ROS 2 bag (see `bags.columns`) or of a table of PlotJuggler. Raises WrongUse.
+    topic, joint: select the columns of a ROS 2 bag (see `bags.columns`) or of a table of PlotJuggler. asked:
+    names of columns, by which the line of headings of a text is found. Raises WrongUse.
     """
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
@@ -82,18 +89,26 @@ def open_table(source: Path, *, topic: str | None = None, joint: str | None = No
     if (read := formats.columns(source, topic, joint)) is not None:
         return _whole(source, _Columns(*read))
     with formats.as_text(source, topic) as text:
-        written = _bounded_if_packed(text, partial(delimited.titles, text))
+        written, lost = _bounded_if_packed(text, partial(rows.titles, text, asked)), list[str]()
     if text != source:
-        return Table(source, written, partial(_read_text, source, topic))
+        return Table(source, written, partial(_read_text, source, topic, asked, lost), lost=lost)
     titles = plotjuggler.renamed(source, written, topic, joint)
-    return Table(source, titles, partial(_read_text, source, None), joins_topics=plotjuggler.TIME in written)
+    reader = partial(_read_text, source, None, asked, lost)
+    return Table(source, titles, reader, joins_topics=plotjuggler.TIME in written, lost=lost)
 
 
 def _read_text(
-    source: Path, sheet: str | None, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
+    source: Path,
+    sheet: str | None,
+    asked: Collection[str],
+    lost: list[str],
+    wanted: Sequence[int],
+    *filters: Sequence[tuple[int, RowFilter]],
 ) -> tuple[Array, Rows]:
     with formats.as_text(source, sheet) as text:
-        return _bounded_if_packed(text, partial(delimited.read, text, wanted, filters))
+        read = _bounded_if_packed(text, partial(rows.read, text, asked, wanted, *filters))
+    lost[:] = read.lost
+    return read.numbers, read.places
 
 
 def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
@@ -113,6 +128,12 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
         raise WrongUse(f"{source} has {len(at)} columns named {name!r}: rename all but one")
     if at:
         return at[0]
+    inside = re.match(r"(.+?)\[\d+\]", name)
+    if inside and any(title.startswith(f"{inside[1]}.") for title in known):
+        raise WrongUse(
+            f"{source}: the values of {inside[1]!r} stand beside names, whose order changes from start to start, so "
+            f"an index may read another joint: choose by name; it has {headings.listed(known)}"
+        )
     raise WrongUse(f"{source} has no column {name!r}; {meant(name, known)}it has {headings.listed(known)}")
 
 

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 from hil import units
 from hil.errors import WrongUse
 from hil.recording.channels import CHANNELS
 
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\(([^()]*(?:\([^()]*\))?)\)")
-_SEPARATED = re.compile(r"\s*/\s*|\s*[,;:]\s+|[\s_]+in[\s_]+|[\s_.:-]+")
+_SEPARATED = re.compile(r"(?P<stated>(?<!^)\s*/\s*|\s*[,;:]\s+|[\s_]+in[\s_]+)|(?P<joined>[\s_.:-]+)")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SHOWN = 40  # names in a message
 _PREFIXES = "mcukn"
-_NAMED = re.compile(r"^(?:time|timestamp|torque|angle|position|velocity)(?=[a-zA-Z])", re.IGNORECASE)
+_NAMED = re.compile(r"^(?:time|timestamp|torque|angle|position|velocity)(?=[a-zA-Z]{2})", re.IGNORECASE)
+_NO_UNITS = re.compile(r"(?<![a-z])(?:rotation|cycles?|num)(?![a-z])", re.IGNORECASE)  # they say what moves
+_NAME = re.compile(
+    r"(?:milli|micro|nano|centi|kilo)?"
+    r"(?:second|minute|hour|degree|radian|turn|revolution|rotation|newton|met[er]{2}|inche?|foot|feet|pound|ounce|gram)",
+    re.IGNORECASE,
+)
+_WORDS = frozenset({"min", "rev", "in", "h", "hr"})  # of other meaning too: the least, the reverse, ...
+_SIMPLE = frozenset({"time", "angle"})  # no product of other units: "gm/ns" would be a time
+_RARER: Mapping[str, tuple[str, ...]] = MappingProxyType({"time": ("h",), "angle": ("arcmin", "arcsec")})
 
 
 def heading(channel: str) -> str:
@@ -31,26 +41,28 @@ def listed(titles: Sequence[str]) -> str:
 
 def names(title: str) -> list[str]:
     """Return the names by which a column can be found apart from its whole heading: the heading without the unit."""
-    ends = [name for name, unit in _at_the_end(title) if name and is_unit(unit)]
+    ends = [name for name, *end in _at_the_end(title) if name and _dimensions(*end)]
     return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
 
 def unit_of(title: str, dimension: str) -> str | None:
     """Return the unit of `dimension` in a heading, None if the heading has no unit.
 
-    Raises WrongUse if the heading has two different units, or has in brackets a unit of another dimension.
+    A unit counts in brackets, after a comma, a slash or "in", and at the end of the heading if it is a symbol of the
+    dimension. An English word at the end is a name: "knee rotation". Raises WrongUse if the heading has two different
+    units, or has in brackets a unit of another dimension.
     """
     bracketed = [unit for _, unit in _in_brackets(title)]
     plain = _BRACKETS.sub("", title).strip()
-    stated = [unit for unit in bracketed if units.known(dimension, unit) is not None]
-    ends = [unit for _, unit in _at_the_end(plain) if units.known(dimension, unit) is not None]
+    stated = [unit for unit in bracketed if _is_of(dimension, unit)]
+    ends = next((found for _, *end in _at_the_end(plain) if (found := _dimensions(*end))), {})
     for unit in bracketed if not stated else ():
-        others = [one for one in units.SI if units.known(one, unit) is not None]
+        others = [one for one in units.SI if _counts(one, unit, "_")]
         if others:
             raise WrongUse(
                 f"column {title!r} is {_a(others[0])} by its heading, not {_a(dimension)}: name another column"
             )
-    found = stated + ends[:1]  # the longest end first: "rad/s", not "s"
+    found = stated + ([ends[dimension]] if dimension in ends else [])
     factors = [units.factor(dimension, unit) for unit in found]
     if found and not math.isclose(min(factors), max(factors), rel_tol=1e-9):
         raise WrongUse(f"column {title!r} states two units, {' and '.join(found)}: correct the heading")
@@ -64,8 +76,49 @@ def bracketed_text(title: str) -> str | None:
 
 
 def is_unit(text: str) -> bool:
-    """Return whether a text is a unit of any dimension."""
-    return any(units.known(dimension, text) is not None for dimension in units.SI)
+    """Return whether a text that stands where a unit is expected is a unit of any dimension."""
+    return any(_is_of(dimension, text) for dimension in _DIMENSIONS)
+
+
+_DIMENSIONS = (*units.SI, *units.LEVER, "current", "voltage")
+
+
+def _is_of(dimension: str, text: str) -> bool:
+    """Return whether a text in brackets is a unit of a dimension. A text that may be a word is one only if the unit is
+    usual: "gin" and "inn" are weights on levers too.
+    """
+    is_product = dimension in _SIMPLE and not (text.isalpha() or text in {"°", "º"})
+    factor = None if is_product or _NO_UNITS.search(text) else units.known(dimension, text)
+    may_be_word = text.isalpha() and text in {text.lower(), text.title(), text.upper()}
+    return factor is not None and (not may_be_word or _is_usual(dimension, factor))
+
+
+def _is_usual(dimension: str, factor: float) -> bool:
+    usual = units.COMMON[dimension] + _RARER.get(dimension, ())
+    return any(math.isclose(factor, units.factor(dimension, one), rel_tol=1e-9) for one in usual)
+
+
+def _counts(dimension: str, text: str, mark: str) -> bool:
+    """Return whether the end of a heading is a unit of a dimension.
+
+    mark: what stands before it: "in" after a comma, a slash or "in"; "_"; " " for any other separator; "" for none. A
+    name of a unit counts only in the plural, and never after a space. A symbol with another meaning ("time min") counts
+    only after "in".
+    """
+    for word in _NAME.finditer(text):
+        after_per = re.search(r"(?:per|/)[\s_]*$", text[: word.start()]) is not None
+        if not after_per and (mark in {" ", ""} or text[word.end() : word.end() + 1].lower() not in {"s", "e"}):
+            return False
+    if (mark != "in" and text.lower() in _WORDS) or (mark == " " and text == "us"):
+        return False
+    if len(text) == 1 and mark not in ({"in", "_", " "} if text.lower() == "s" else {"in", "_"}):
+        return False
+    return _is_of(dimension, text) and (mark == "in" or _is_usual(dimension, units.factor(dimension, text)))
+
+
+def _dimensions(text: str, mark: str) -> dict[str, str]:
+    """Return the end of a heading by each dimension that it is a unit of; the longest end decides."""
+    return {one: text for one in _DIMENSIONS if _counts(one, text, mark)}
 
 
 def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
@@ -75,18 +128,21 @@ def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
             yield name.rstrip("/_ "), next(text for text in match.groups() if text is not None).strip()
 
 
-def _at_the_end(title: str) -> Iterator[tuple[str, str]]:
-    """Yield each way to split a heading into a name and, at its end, a possible unit; the longest unit first."""
-    yield "", title.strip()
+def _at_the_end(title: str) -> Iterator[tuple[str, str, str]]:
+    """Yield each way to split a heading into a name and, at its end, a possible unit, with the mark between them (see
+    `_counts`); the longest unit first.
+    """
+    yield "", title.strip(), "_"
     for match in _SEPARATED.finditer(title):
-        yield title[: match.start()].strip(), title[match.end() :].strip()
+        mark = "in" if match["stated"] else "_" if "_" in match[0] else " "
+        yield title[: match.start()].strip(), title[match.end() :].strip(), mark
     for match in _CAMEL.finditer(title):
         name, end = title[: match.start()], title[match.start() :]
         if name[-1] not in _PREFIXES or not is_unit(name[-1] + end):
-            yield name, end  # but not the Nm of "taumNm"
-            yield name, end.lower() if re.fullmatch(r"[A-Z][a-z]+", end) else end
+            yield name, end, ""  # but not the Nm of "taumNm"
+            yield name, end.lower() if re.fullmatch(r"[A-Z][a-z]+", end) else end, ""
     for match in _NAMED.finditer(title):
-        yield match[0], title[match.end() :]
+        yield match[0], title[match.end() :], ""
 
 
 def _a(dimension: str) -> str:

@@ -15,6 +15,7 @@ from hil.errors import WrongUse
 from hil.exchange.columns import Table, open_table
 from hil.exchange.command import MODES, check_command, held
 from hil.exchange.headings import heading, listed
+from hil.exchange.mending import clock
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, of_two, units_of, with_sums
 from hil.exchange.wanted.interval import rows_between
@@ -30,6 +31,7 @@ __all__ = ["Column", "Imported", "import_table"]
 Array = NDArray[np.float64]
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
+_DAMAGED = 0.01  # share of the rows that may have no time
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
 
 
@@ -74,7 +76,8 @@ def import_table(
     readings that the stand's limits make impossible, and for a wrong row.
     """
     said: list[str] = []
-    table = open_table(source, topic=topic, joint=joint)
+    asked = set() if join else {column.name for column in columns.values()} | {one.column for one in where}
+    table = open_table(source, topic=topic, joint=joint, asked=asked)
     columns = _with_joint_state(table, columns)
     if columns:
         _check_channels(columns, stand)
@@ -90,7 +93,7 @@ def import_table(
     used = _all_stated(source, channels, columns, understood)
     for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
-    _check_time(source, channels["time"], rows)
+    channels, rows, of_time = _timed(source, channels, rows, units.factor("time", used.get("time", "s")))
     if between != (None, None):
         kept = rows_between(source, channels["time"], units.factor("time", used.get("time", "s")), *between)
         channels, rows = {name: values[kept] for name, values in channels.items()}, rows[kept]
@@ -108,6 +111,7 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
+    repeated = [_mended(text) for text in table.lost] + repeated + of_time
     return Imported(len(rows), duration, used, in_words(*swings), (*repeated, *diagnostics), "; ".join(said))
 
 
@@ -129,11 +133,8 @@ def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, ND
     twice, stamps = len(rows) - np.count_nonzero(kept), numbers[time, kept]
     if not twice or np.count_nonzero(stamps[1:] == stamps[:-1]) > _COARSE * len(rows):
         return numbers, rows, []
-    message = (
-        f"{twice} of {len(rows)} rows repeat the row before and are left out: Kc and Bc come from the others; look "
-        "why the table has them twice"
-    )
-    return numbers[:, kept], rows[kept], [Diagnostic("repeated-rows", message)]
+    message = f"{twice} of {len(rows)} rows repeat the row before and are left out"
+    return numbers[:, kept], rows[kept], [_mended(message)]
 
 
 def _all_stated(
@@ -240,19 +241,44 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
             raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
 
 
-def _check_time(source: Path, time: Array, rows: NDArray[np.int64]) -> None:
-    bad = np.flatnonzero(~np.isfinite(time))
-    if bad.size:
+def _timed(
+    source: Path, channels: Mapping[str, Array], rows: NDArray[np.int64], unit: float
+) -> tuple[dict[str, Array], NDArray[np.int64], list[Diagnostic]]:
+    """Return the channels and the numbers of their rows in the order of time, with diagnostics of what was mended.
+
+    unit: of the time, s. Raises WrongUse for times that are missing in many rows, or that go back.
+    """
+    known, found = np.isfinite(channels["time"]), list[Diagnostic]()
+    bad = np.flatnonzero(~known)
+    if bad.size > _DAMAGED * len(known):
         raise WrongUse(
-            f"{source}, row {rows[bad[0]]}: the time is not a number, in {bad.size} of {len(time)} rows: delete these "
+            f"{source}, row {rows[bad[0]]}: the time is not a number, in {bad.size} of {len(known)} rows: delete these "
             "rows, or fill in their times; a gap does no harm"
         )
-    backwards = np.flatnonzero(np.diff(time) < 0.0)
-    if backwards.size:
-        raise WrongUse(
-            f"{source}, row {rows[backwards[0] + 1]}: the time goes backwards; "
-            "if the file holds several runs, choose one with --where"
+    if bad.size:
+        found.append(_mended(f"{bad.size} of {len(known)} rows have no time and are left out"))
+    time, span = clock.unwrapped(channels["time"][known], unit)
+    if span:
+        found.append(_mended(f"the time begins anew after {span:.7g} s, the range of its counter, and is continued"))
+    order = clock.order(time)
+    if (wrong := clock.astray(time[order])).any() and np.count_nonzero(wrong) <= _DAMAGED * len(order):
+        found.append(_mended(f"{np.count_nonzero(wrong)} of {len(order)} rows have a wrong time and are left out"))
+        order = order[~wrong]
+    if moved := np.count_nonzero(np.diff(order) < 0):
+        found.append(
+            _mended(f"rows are out of order, in {moved} places of {len(order)}; they are sorted by their times")
         )
+    clock.refuse_backwards(source, time[order], rows[known][order])
+    if not found:
+        return dict(channels), rows, []
+    sorted_channels = {name: values[known][order] for name, values in channels.items()}
+    return sorted_channels | {"time": time[order]}, rows[known][order], found
+
+
+def _mended(what: str) -> Diagnostic:
+    return Diagnostic(
+        "mended-table", f"{what}. Kc and Bc come from the other rows, or from the mended ones; check the logger"
+    )
 
 
 def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:

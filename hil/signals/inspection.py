@@ -77,6 +77,7 @@ def inspect(path: Path, progress: Progress | None = None) -> Inspection:
         intervals = np.diff(signals.motion.time)
         read = recording.channel("read_time")
         stamps = np.where(np.isfinite(read), read, recording.channel("time"))
+        stamps_read = stamps[np.isfinite(stamps) & np.isfinite(recording.channel("dtheta"))]
         stamps = stamps[np.isfinite(stamps)]
         quality = assess(recording, [signals], signals.defects)
         return Inspection(
@@ -90,7 +91,7 @@ def inspect(path: Path, progress: Progress | None = None) -> Inspection:
             jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
             lost=signals.defects.lost,
             not_numbers=signals.defects.not_numbers,
-            longest_gap=float(intervals.max()),
+            longest_gap=float(np.diff(stamps_read).max()),
             saturated=quality.saturated,
             late=quality.late,
             lateness=(_stored(recording, "p50"), _stored(recording, "p99"), _stored(recording, "max")),

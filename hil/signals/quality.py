@@ -19,6 +19,7 @@ from hil.signals.prepare import Signals
 from hil.signals.rate.own_rate import OwnRate
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
+from hil.signals.stamps import mean_step
 from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
@@ -243,12 +244,13 @@ def _noise(signals: Signals) -> float:
     outliers.
     """
     time = signals.motion.time
-    cycles = signals.band[1] * (time[-1] - time[0]) / (len(time) - 1)
+    cycles = signals.band[1] * mean_step(time)
     if cycles > _SPARSE:
         return _noise_beside_motion(signals)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
     residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)
-    return 1.4826 * float(np.median(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
+    # a window across a pause gives no value
+    return 1.4826 * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
 def _noise_beside_motion(signals: Signals) -> float:

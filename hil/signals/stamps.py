@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_COARSE = 0.05  # share of repeated stamps above which a clock is called coarse
+_MANY = 0.05  # share of repeated stamps above which a clock is coarse, and of missing rows from which a gap is a pause
 _UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
 # s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
 _ROWS = 20  # over which the usual pace is taken: more than a burst has
@@ -22,18 +24,36 @@ _APART = 4.0  # median steps between two samples above which they belong to two 
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
+def pieces(time: Array) -> list[slice]:
+    """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause."""
+    steps = np.diff(time)
+    usual = float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else np.inf
+    ends = np.flatnonzero(steps > usual * max(_APART, _MANY * len(time))) + 1
+    return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time)])]
+
+
+def mean_step(time: Array) -> float:
+    """Return the mean time, s, between two samples with rising stamps (n,), s, without the pauses."""
+    parts = [time[part] for part in pieces(time)]
+    return float(sum(part[-1] - part[0] for part in parts)) / max(len(time) - len(parts), 1)
+
+
 def spread_stamps(time: Array) -> tuple[Array, bool]:
     """Return the stamps (n,), s, with repeats and bursts spread evenly up to the next stamp, and whether many stamps
     were spread.
 
     A clock that ticks every 15.6 ms gives several rows one stamp. The order of the rows is known, and their spacing is
-    even within the loop's jitter. The rows of the last stamp continue at the rate of the rows before.
+    even within the loop's jitter. The rows of the last stamp before a pause continue at the rate of the rows before.
     """
+    parts = pieces(time)
+    if len(parts) > 1:
+        found = [spread_stamps(time[part]) for part in parts]
+        return np.concatenate([one for one, _ in found]), any(coarse for _, coarse in found)
     if len(time) < 2:
         return time, False
     near = _together(time)
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > near)))
-    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > _COARSE * len(time)
+    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > _MANY * len(time)
     if even is not time or len(starts) == len(time):
         return even, coarse
     rows = np.arange(len(time), dtype=np.float64)
@@ -53,7 +73,7 @@ def _together(time: Array) -> float:
     time = time[:_LOOKED_FOR_BURSTS]
     steps = np.diff(time)
     near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
-    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > _COARSE
+    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > _MANY
     return near if near and are_bursts else 0.0
 
 

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.stamps import mean_step, pieces
+
 Array = NDArray[np.float64]
 
 _LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
@@ -49,16 +51,20 @@ class Spectrum:
     def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
         """Return the spectrum of readings (n,), rad, at rising stamps (n,), s.
 
-        least: lower limit of the readings' white noise, rad. Only the outermost samples are tapered, because a chirp is
-        fastest at its end.
+        least: lower limit of the readings' white noise, rad. The powers of the pieces between pauses are added. Only
+        the outermost samples of a piece are tapered, because a chirp is fastest at its end.
         """
-        count = len(time)
-        uniform = np.interp(np.linspace(time[0], time[-1], count), time, dtheta)
-        step = (time[-1] - time[0]) / (count - 1)
-        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(count) + 0.5) / (_TAPER * count))) ** 2
-        power = np.abs(np.fft.rfft((uniform - uniform.mean()) * taper * taper[::-1])) ** 2
+        count, step = len(time), mean_step(time)
+        power, weight = np.zeros(count // 2 + 1), 0.0
+        for part in pieces(time):
+            rows = part.stop - part.start
+            uniform = np.interp(np.linspace(time[part][0], time[part][-1], rows), time[part], dtheta[part])
+            taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(rows) + 0.5) / (_TAPER * count))) ** 2
+            taper *= taper[::-1]
+            power += np.abs(np.fft.rfft((uniform - uniform.mean()) * taper, count)) ** 2
+            weight += float(np.sum(taper**2))
         density = np.convolve(power, np.full(5, 0.2), mode="same")
-        of_white = _MEDIAN * float(np.sum((taper * taper[::-1]) ** 2))  # the density of white noise of 1 rad
+        of_white = _MEDIAN * weight  # the density of white noise of 1 rad
         rounding = least**2 * of_white
         floor = max(float(np.median(density[len(density) // 2 :])), rounding)
         return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)

@@ -16,6 +16,7 @@ from hil.signals.rate.low_pass import STOPPED, LowPass, is_sound, low_pass_for, 
 from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, widest
 from hil.signals.rate.spectrum import Spectrum
 from hil.signals.slow_channel import Readings, noise_beside_any_shape
+from hil.signals.stamps import mean_step
 
 Array = NDArray[np.float64]
 
@@ -346,7 +347,7 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
     """Return the widest windows that give slope and curvature of motion up to `highest`, Hz, as neighbours on each
     side.
     """
-    cycles = highest * (time[-1] - time[0]) / (len(time) - 1)
+    cycles = highest * mean_step(time)
     most = min(_WIDEST, (len(time) - 1) // _PARTS)
     slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
     return slope, min(slope, curvature)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import random
+
 import pytest
 
+from hil import units
 from hil.errors import WrongUse
 from hil.exchange.headings import names, unit_of
 
@@ -78,3 +82,63 @@ def test_what_is_no_certain_unit_is_none(title: str, dimension: str) -> None:
 def test_a_heading_that_contradicts_itself_or_the_channel_is_refused(title: str, dimension: str, said: str) -> None:
     with pytest.raises(WrongUse, match=said):
         unit_of(title, dimension)
+
+
+WORDS = """
+    joint knee motor load cell angle torque time position speed rotation turn cycle revolution second
+    minute hour degree radian inch foot feet pound ounce gram meter newton min rev in gin inn num chunks
+    is as gm ring Rotation Turn QoS filtered left raw target actual mean
+""".split()  # noqa: SIM905 - as a list it takes fifty lines
+WRITTEN = {
+    "time": ("s", "ms", "us", "ns", "sec", "seconds"),
+    "torque": ("Nm", "N m", "mNm", "N*mm", "kgf*cm", "oz-in"),
+    "angle": ("rad", "deg", "mrad", "degrees", "°"),
+    "rate": ("rad/s", "deg/s", "rpm", "rad_s"),
+}
+MARKS = (" [{}]", " ({})", "[{}]", ", {}", "/{}", "_{}", " {}", ".{}", " in {}", " {{{}}}")
+
+
+def drawn(rng: random.Random) -> tuple[str, str | None]:
+    """A heading of words, with brackets or a unit of a dimension or neither, and that unit."""
+    title = rng.choice((" ", "_", "-", ".")).join(rng.choices(WORDS, k=rng.randint(1, 3)))
+    if rng.random() < 0.5:
+        return title + (f" ({rng.choice(WORDS)})" if rng.random() < 0.2 else ""), None
+    unit = rng.choice(WRITTEN[rng.choice(list(WRITTEN))])
+    return title + rng.choice(MARKS).format(unit), unit
+
+
+def invented(count: int) -> list[tuple[str, str, str]]:
+    """The headings among `count` for which a unit is found that nobody wrote, each with its dimension."""
+    rng, found = random.Random(1), []  # noqa: S311 - no secret
+    in_words = {"turn", "revolution", "second", "minute", "hour", "degree", "radian", "min", "rev"}
+    for _ in range(count):
+        title, written = drawn(rng)
+        for dimension in WRITTEN:
+            try:
+                unit = unit_of(title, dimension)
+            except WrongUse as error:
+                if "two units" in str(error):
+                    found.append((title, dimension, str(error)))
+                continue
+            is_it = written is not None and units.known(dimension, written) is not None and unit is not None
+            if is_it and math.isclose(units.factor(dimension, unit or ""), units.factor(dimension, written or "")):
+                continue
+            bracketed = title.rpartition("(")[2].removesuffix(")") if written is None and title.endswith(")") else ""
+            if unit is not None and bracketed.lower() not in in_words:  # "time (second)" does state one
+                found.append((title, dimension, unit))
+    return found
+
+
+def test_no_word_of_a_heading_is_a_unit() -> None:
+    assert invented(150) == []
+
+
+@pytest.mark.study
+def test_no_word_of_fifty_thousand_headings_is_a_unit() -> None:
+    assert invented(50_000) == []
+
+
+def test_a_word_that_a_unit_is_called_by_too_is_part_of_the_name() -> None:
+    assert unit_of("joint rotation", "angle") is None
+    assert unit_of("knee rotation (rad)", "angle") == "rad"
+    assert "joint" not in names("joint rotation")

@@ -184,3 +184,21 @@ def test_at_one_frequency_an_inertia_is_no_wrong_sign(
         channels |= {"dtheta": angle, "torque": stiffness * angle + damping * rate + noise}
 
     assert ("implausible" in codes(make_recording, change=change)) is wrong
+
+
+@pytest.mark.parametrize("pause", [5.0, 1.7e9], ids=["pause", "clock that is set"])
+def test_a_pause_changes_no_figure_but_its_own(tmp_path: Path, pause: float) -> None:
+    rng, time = np.random.default_rng(0), np.arange(2000) / 500.0
+    dtheta = sum(0.1 * np.sin(2.0 * np.pi * f * time + f) for f in (0.7, 2.1, 5.3))
+    torque = 0.5 * dtheta + 0.03 * rng.standard_normal(len(time))
+    seen = []
+    for length in (0.0, pause):
+        channels = {"time": time + length * (time >= 2.0), "torque": torque, "dtheta": dtheta}
+        write(tmp_path / "a.h5", Header(profile={"kind": "imported"}), channels, force=True)
+        seen.append(inspect(tmp_path / "a.h5"))
+    whole, paused = seen
+    assert paused.torque_noise == pytest.approx(whole.torque_noise, rel=0.05)
+    assert paused.snr == pytest.approx(whole.snr, abs=1.0)
+    assert paused.band == pytest.approx(whole.band, rel=0.5)
+    assert paused.longest_gap == pytest.approx(pause + 0.002)
+    assert {one.code for one in whole.diagnostics} == {one.code for one in paused.diagnostics} - {"near-gaps"}

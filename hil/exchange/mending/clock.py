@@ -1,0 +1,103 @@
+"""Mend the time stamps of a table: counters that begin anew, and rows that were written in another order."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_BITS = (16, 24, 32)
+_TICKS = (1.0, 1e-3, 1e-6, 1e-9)  # s, that a counter counts
+_DAY = 86400.0  # s
+_NEAR = 20.0  # usual steps, within which a counter reaches its end and begins anew
+_MOVED = 0.02  # share of the rows, by which one may be out of place
+_FEW = 64  # rows, by which one may always be
+_ALONE = 3  # rows at most that have a wrong stamp side by side
+_DENSE = 0.7  # of the usual step, below which two records overlap
+
+
+def unwrapped(time: Array, unit: float) -> tuple[Array, float]:
+    """Return stamps (n,), s, that go on where a counter began anew, and the counter's range, s, 0 if none did.
+
+    unit: of the column, s. A counter of 16, 24 or 32 bits, or of the time of day, is certain where every step back
+    leads from the end of its range to the beginning.
+    """
+    steps = np.diff(time)
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    for span in [2.0**bits * tick for tick in dict.fromkeys((unit, *_TICKS)) for bits in _BITS] + [_DAY]:
+        back = np.flatnonzero(steps < -0.5 * span)
+        near = min(_NEAR * usual, 0.01 * span)
+        low = -0.5 * span if time.min() < 0.0 else 0.0
+        at_ends = (low + span - time[back] <= near) & (time[back + 1] - low <= near)
+        # a counter that starts from zero begins anew for a second run too, after any time
+        is_day = span != _DAY or time[0] - low > near
+        if back.size and at_ends.all() and is_day and time.max() <= low + span + near:
+            turns = np.cumsum((steps < -0.5 * span).astype(np.int64) - (steps > span - near))
+            return time + span * np.concatenate([[0], turns]), span
+    return time, 0.0
+
+
+def order(time: Array) -> Rows:
+    """Return the order (n,) in which the stamps (n,), s, rise; the order they have, if they were not only written out
+    of order.
+
+    Rows that two threads wrote fill the holes that they left. Where a clock was set back, or a second run begins, the
+    rows would be denser than elsewhere.
+    """
+    rising = np.argsort(time, kind="stable")
+    places = np.arange(len(time))
+    shifts = np.abs(rising - places)
+    if not shifts.any() or shifts.max() > max(min(_FEW, len(time) // 8), _MOVED * len(time)):
+        return places
+    steps = np.diff(time[rising])
+    disturbed = _disturbed(rising)
+    outside = steps[~disturbed] if np.count_nonzero(~disturbed) > np.count_nonzero(disturbed) else steps
+    usual = float(np.mean(np.minimum(outside, _NEAR * np.median(outside))))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], disturbed, [False]]).astype(np.int8)))
+    dense = [float(steps[a:b].mean()) < _DENSE * usual for a, b in edges.reshape(-1, 2)]
+    small = np.count_nonzero(steps < 0.5 * (1.0 - _DENSE) * usual) > 0.5 * len(steps)
+    return places if any(dense) or small else rising
+
+
+def _disturbed(rising: Rows) -> NDArray[np.bool_]:
+    """Return the steps (n-1,) between risen stamps that lie within a run of rows out of place."""
+    highest = np.maximum.accumulate(rising)
+    return highest[:-1] > np.arange(len(rising) - 1)
+
+
+def astray(time: Array) -> NDArray[np.bool_]:
+    """Return which stamps (n,), s, are wrong and stand alone: 0, or far ahead, between rows whose stamps rise."""
+    low = time < np.maximum.accumulate(time)
+    high = time > np.minimum.accumulate(time[::-1])[::-1]
+    wrong = min(low, high, key=np.count_nonzero)
+    run = np.convolve(wrong, np.ones(_ALONE + 1), "valid") if len(wrong) > _ALONE else np.ones(1)
+    return wrong if run.max() <= _ALONE else np.zeros_like(wrong)
+
+
+def refuse_backwards(source: Path, time: Array, rows: Rows) -> None:
+    """Raise WrongUse if the stamps (n,), s, go back, with the likely cause. rows (n,): the numbers of the rows."""
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if not back.size:
+        return
+    at = int(back[0])
+    step, span = float(time[at] - time[at + 1]), float(np.ptp(time[: at + 1]))
+    start = f"{source}, row {rows[at + 1]}: the time goes backwards by {step:.6g} s, "
+    times = f", and again in {back.size - 1} other rows" if back.size > 1 else ""
+    if back.size > 0.2 * len(time):
+        raise WrongUse(f"{start}as in {back.size} of {len(time)} rows: it is no time: name another column")
+    if float(time[at + 1] - time[0]) < 0.02 * span + 1e-9:
+        raise WrongUse(
+            f"{start}to where it began{times}: a further run begins there. Choose one with --where, or write each run "
+            "into a file of its own, and name them together: hil identify run1.h5 run2.h5"
+        )
+    raise WrongUse(
+        f"{start}{times.removeprefix(', ') or 'once'}: the clock was set, or a further run begins there, so that rows "
+        "before and after it give no Kc or Bc together. Choose one part with --where, or write each into a file of its "
+        "own, and name them together: hil identify part1.h5 part2.h5"
+    )

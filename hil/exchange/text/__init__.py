@@ -1,0 +1,1 @@
+"""Tables in text files, as loggers, test machines and spreadsheets write them."""

@@ -1,0 +1,247 @@
+"""Find the headings, the units and the first row of a text table, below whatever its writer put above them."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import lru_cache
+from itertools import chain, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from hil.errors import WrongUse
+from hil.exchange import headings
+from hil.exchange.text.cells import clock, is_missing, is_number
+
+if TYPE_CHECKING:
+    from _csv import Reader
+
+_TOP = 1000  # lines that are searched for the headings
+_HEADING = 10  # lines that quoted headings may take
+_DELIMITERS = (";", "\t", "|", ",", " ")
+_EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
+COMMENT = re.compile(r"^\s*(?:#+|%+|//+|!+)\s*")
+_SERIAL = re.compile(r"^(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> ")  # the stamp of Arduino's serial monitor
+_NO_UNIT = frozenset({"", "-", "--", "1", "n/a"})
+_OTHER_UNITS = frozenset("% counts count cnt ticks lsb raw bits N kN mN lbf kgf Pa kPa MPa GPa bar W J".split())  # noqa: SIM905
+_USUAL = 0.8  # share of the rows that have a number in a column
+
+
+class Layout(NamedTuple):
+    """The layout of a text table.
+
+    names: headings. delimiter: between the cells. above: number of lines above the first row. fields: usual number of
+    cells in a row. clocks: indices of columns with dates or times of day. heads: cells of the lines that stand above
+    the rows, and may stand between them again. stamped: whether a serial monitor wrote its stamp before each line.
+    """
+
+    names: list[str]
+    delimiter: str
+    above: int
+    fields: int
+    clocks: frozenset[int]
+    heads: frozenset[tuple[str, ...]]
+    stamped: bool
+
+    def reader(self, lines: Iterable[str]) -> Reader:
+        """Return the rows in the lines, with the stamp of a serial monitor as the first cell."""
+        if self.stamped:
+            lines = (_SERIAL.sub(rf"\1{self.delimiter}", line) for line in lines)
+        return _reader(lines, self.delimiter)
+
+
+def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple[Layout, Iterator[str]]:
+    """Return the layout of the table in the lines, and the lines from the first row on.
+
+    wanted: the names of columns that are asked for; the line of headings has them. Raises WrongUse for a table without
+    headings.
+    """
+    top = _whole(list(islice(lines, _TOP)))
+    longest = csv.field_size_limit()
+    if any(len(line) > longest for line in top[:1]):
+        raise WrongUse(f"{source}, row 1: a field is longer than {longest} characters: check that the file is CSV")
+    stamped = any(map(_SERIAL.match, top))
+    plain = [_SERIAL.sub("", line) for line in top]
+    delimiter, fields, rows = _rows(plain)
+    if not rows:
+        found = _without_rows(top, wanted)
+        return found, chain(top[found.above :], lines)
+    first, names, at = _headings(source, plain, (delimiter, fields, rows), wanted)
+    below = [line for line in plain[at + 1 : first] if line.strip()]
+    heads = [tuple(split_line(plain[at], delimiter)), *(tuple(split_line(line, delimiter)) for line in below)]
+    for cells in heads[1:]:
+        names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
+    row = split_line(plain[first], delimiter)
+    if stamped:
+        names, row, fields = ["received", *names], [top[first].partition(" -> ")[0], *row], fields + 1
+    clocks = frozenset(place for place, cell in enumerate(row[: len(names)]) if clock(cell) is not None)
+    names = [f"{name} [s]" if place in clocks else name for place, name in enumerate(names)]
+    found = Layout(names, delimiter, first, fields, clocks, frozenset(heads), stamped)
+    return found, chain(top[first:], lines)
+
+
+def _whole(lines: list[str]) -> list[str]:
+    """Return the lines, each heading that a quoted line break divides in the line where it ends."""
+    for at in range(len(lines) - 1):
+        quotes = np.cumsum([line.count('"') for line in lines[at : at + _HEADING]])
+        if quotes[0] % 2 and (ends := np.flatnonzero(quotes % 2 == 0)).size:
+            parts = lines[at : at + int(ends[0]) + 1]
+            lines[at : at + len(parts)] = ["\n"] * (len(parts) - 1) + [" ".join(map(str.strip, parts))]
+    return lines
+
+
+def _without_rows(top: Sequence[str], wanted: Collection[str]) -> Layout:
+    """Return the layout of a table without a row of numbers: its first line has the headings, unless another has those
+    wanted.
+    """
+    splits = [(at, *one) for at, line in enumerate(top) if line.strip() for one in _splits(line, "")]
+    first = next(
+        (one for one in splits if wanted and _has(one[1], wanted)), splits[0] if splits else (-1, [], True, ",")
+    )
+    at, names, _, delimiter = first
+    return Layout(names, delimiter, at + 1, len(names), frozenset(), frozenset(), stamped=False)
+
+
+def _rows(lines: Sequence[str]) -> tuple[str, int, list[int]]:
+    """Return delimiter and number of cells of the rows of numbers, and the indices of these rows; [] without rows.
+
+    The rows are the lines that have the most frequent number of cells, and numbers in the columns where most have one.
+    """
+    best = [max((_numeric(line, one), -at, one) for at, one in enumerate(_DELIMITERS)) for line in lines]
+    shapes = [
+        (one, len(split_line(line, one))) if count > 1 else None
+        for line, (count, _, one) in zip(lines, best, strict=True)
+    ]
+    counts = Counter(one for one in shapes if one)
+    if not counts:
+        return "", 0, []
+    most = max(counts.values())
+    shape = [one for one in shapes if one and counts[one] == most][-1]
+    rows = [at for at, one in enumerate(shapes) if one == shape]
+    cells = [split_line(lines[at], shape[0]) for at in rows]
+    filled = [[_is_reading(cell) or is_missing(cell) for cell in row] for row in cells]
+    usual = [sum(column) >= _USUAL * len(rows) for column in zip(*filled, strict=True)]
+    kept = [
+        at
+        for at, row in zip(rows, filled, strict=True)
+        if all(is_in for is_in, asked in zip(row, usual, strict=True) if asked)
+    ]
+    return shape[0], shape[1], kept
+
+
+def _is_reading(cell: str) -> bool:
+    return is_number(cell) or clock(cell) is not None
+
+
+def _numeric(line: str, delimiter: str) -> int:
+    return sum(map(_is_reading, split_line(line, delimiter))) if delimiter in line else 0
+
+
+def _headings(
+    source: Path, lines: Sequence[str], shape: tuple[str, int, list[int]], wanted: Collection[str]
+) -> tuple[int, list[str], int]:
+    """Return the index of the first row, the headings of its cells, and the index of their line. shape: as of `_rows`.
+
+    The line has all wanted names; without such a line it is the nearest one above the rows with as many names as they
+    have cells. Where a log began in the middle of a row, the headings follow the first rows.
+    """
+    delimiter, fields, rows = shape
+    texts = [at for at, line in enumerate(lines) if line.strip() and at not in set(rows)]
+    nearest = [at for at in reversed(texts) if at < rows[0]] + [at for at in texts if at > rows[0]]
+    splits = [
+        (at, names, fits, mark.strip(" "))
+        for at in nearest
+        for names, fits, mark in _splits(lines[at], delimiter, fields)
+    ]
+    choices = [
+        [one for one in splits if one[2] and wanted and _has(one[1], wanted)],
+        [one for one in splits if one[3] and wanted and _has(one[1], wanted)],
+        [one for one in splits if one[2] and not any(_units(one[1], len(one[1])))],
+        [one for one in splits if one[2]],
+        [one for one in splits if len(one[1]) > 1 and one[0] < rows[0] and not COMMENT.match(lines[one[0]])],
+    ]
+    chosen = next((found[0] for found in choices if found), None)
+    first = next((row for row in rows if chosen and row > chosen[0]), None)
+    if chosen is None or first is None:
+        raise WrongUse(
+            f"{source} has no headings: no names stand above its numbers. Write a line above them with the "
+            f"names and units of its {fields} columns, such as {_example(fields, delimiter)!r}"
+        )
+    at, names, fits, _ = chosen
+    return first, names[:fields] if fits else names, at
+
+
+def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[str], bool, str]]:
+    """Yield each way to split a line into names, none of them a number, whether there are as many as `fields`, and
+    their delimiter.
+
+    More names than cells are trimmed, because some loggers name a column "Comment" and do not fill it; words that are
+    separated by spaces are not names of more columns.
+    """
+    without = COMMENT.sub("", line)
+    for text in dict.fromkeys((without, line)):
+        for one in dict.fromkeys((delimiter or max(_DELIMITERS, key=text.count), *_DELIMITERS)):
+            for names in _names(text, one):
+                filled = len(names) - next((at for at, name in enumerate(reversed(names)) if name), len(names))
+                if filled and not any(map(is_number, names)) and (one in text.strip() or not delimiter):
+                    extra = one not in {" ", ""} and one == delimiter and filled > fields
+                    yield names, len(names) == fields or filled == fields or extra, one
+
+
+def _names(text: str, delimiter: str) -> Iterator[list[str]]:
+    yield [" ".join(name.split()) for name in split_line(text, delimiter)]
+    if delimiter == " ":  # "Time (s)  Torque (N m)"
+        yield [name.strip() for name in re.split(r"\s{2,}", text.strip())]
+        yield re.findall(r"[^\s([]+(?:\s*[([][^\])]*[\])])?", text)
+
+
+def _has(names: Sequence[str], wanted: Collection[str]) -> bool:
+    known = set(names).union(*map(headings.names, names))
+    return all(name in known for name in wanted)
+
+
+def _units(cells: Sequence[str], columns: int) -> list[str]:
+    """Return the units in a line between headings and rows, "" for a column without a unit; all "" in another line.
+
+    Most of its cells are units, or in brackets. What hil knows no unit for, such as counts, is kept as it is written.
+    """
+    plain = [cell.strip().strip("[](){}<>").strip() for cell in cells]
+    stated = [cell for cell in plain if cell.lower() not in _NO_UNIT]
+    in_brackets = [cell for cell in cells if re.fullmatch(r"\s*[\[({<].*[\])}>]\s*", cell)]
+    known = [cell for cell in stated if cell in _OTHER_UNITS or headings.is_unit(cell)]
+    is_line = bool(known) and len(cells) <= columns and max(2 * len(known), 2 * len(in_brackets)) >= len(stated)
+    found = ["" if not is_line or cell.lower() in _NO_UNIT else cell for cell in plain[:columns]]
+    return found + [""] * (columns - len(found))
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit and headings.bracketed_text(name) is None else name
+
+
+def _example(columns: int, delimiter: str) -> str:
+    names = _EXAMPLE[:columns]
+    return delimiter.join(name.replace(" ", "") for name in names) if delimiter == " " else delimiter.join(names)
+
+
+@lru_cache(maxsize=4 * _TOP)
+def _split(line: str, delimiter: str) -> tuple[str, ...]:
+    try:
+        return tuple(cell.strip() for cell in next(_reader([line], delimiter), []))
+    except csv.Error:
+        return ()
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, [] if it is not CSV."""
+    return list(_split(line, delimiter))
+
+
+def _reader(lines: Iterable[str], delimiter: str) -> Reader:
+    """Return a reader of the rows in the lines; several spaces in sequence are one delimiter."""
+    spaced = delimiter == " "
+    ended = (line.replace("\t", " ").strip() for line in lines) if spaced else lines
+    return csv.reader(ended, delimiter=delimiter, skipinitialspace=True)

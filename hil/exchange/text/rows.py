@@ -1,0 +1,250 @@
+"""Read columns from a text table of another program, in any encoding, whole or cut off; every error names its row."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import gzip
+import re
+import zlib
+from array import array
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import partial
+from io import BufferedReader, TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+from hil.exchange.row_filter import RowFilter
+from hil.exchange.text.cells import Cells, NotANumber, OtherStyle, Style
+from hil.exchange.text.layout import COMMENT, Layout, layout
+from hil.recording.input import open_input
+
+if TYPE_CHECKING:
+    from _csv import Reader
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_LARGEST = 1 << 36  # bytes of a file, which is read row by row
+_LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
+_LOST = 0.01  # share of the rows that may be damaged: more mean that the table is not understood
+_READING = re.compile(r"[-+.]?\d")  # the begin of a number, whole or not
+_SNIFFED = 1 << 12  # bytes that show the encoding
+_MOSTLY = 0.4  # share of every second byte that is 0 in UTF-16
+_CONTROL = 0.1  # share of control characters from which a file is no text
+_CONTROLS = bytes(set(range(32)) - set(b"\t\n\r\f\x1b"))
+
+
+class Read(NamedTuple):
+    """What was read of a table. numbers: columns (columns, n). places: line numbers (n,). lost: what was lost, as
+    sentences.
+    """
+
+    numbers: Array
+    places: Rows
+    lost: list[str]
+
+
+def titles(source: Path, wanted: Collection[str] = ()) -> list[str]:
+    """Return the headings of the table, in order. wanted: names that the line of headings has. Raises WrongUse for a
+    file that is no text.
+    """
+    with _open(source) as file:
+        return layout(source, iter(file), wanted)[0].names
+
+
+def read(
+    source: Path,
+    asked: Collection[str],
+    wanted: Sequence[int],
+    filters: Sequence[tuple[int, RowFilter]],
+    *,
+    style: Style | None = None,
+) -> Read:
+    """Return the columns `wanted` (indices) of the rows that pass every filter.
+
+    asked: as in `titles`. style: the decimal mark, if it is known.
+    In a row that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be cut
+    off, and 1 % of the others damaged.
+    Raises WrongUse with the row that is wrong.
+    """
+    kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
+    behind = max((*wanted, *(at for at, _ in filters)), default=0)
+    with _open(source) as file:
+        form, rest = layout(source, iter(file), asked)
+        cells = Cells(form.names, form.clocks, style)
+        reader = form.reader(_without_nul(rest, form.above, damage))
+        for row in _rows(source, reader, form.above):
+            if not row:
+                continue
+            last = reader.line_num + form.above
+            try:
+                _check_length(form, row, last, behind)
+                if all(
+                    one.keeps(row[at].strip() if isinstance(one.value, str) else cells.number(last, at, row[at]))
+                    for at, one in filters
+                ):
+                    numbers = [cells.number(last, at, row[at]) for at in wanted]
+                    places.append(last)
+                    for column, number in zip(kept, numbers, strict=True):
+                        column.append(number)
+            except NotANumber as error:
+                damage.note(last, str(error), form, row)
+        try:
+            cells.check_commas(source)
+        except OtherStyle as other:
+            return read(source, asked, wanted, filters, style=other.style)
+        lost = damage.report(source, len(places), last, cut_off=file.cut_off)
+    numbers = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
+    return Read(numbers, np.array(places, dtype=np.int64), lost)
+
+
+def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
+    """Raise NotANumber if a row has not one cell for each heading. last: index of the last column that is read: what
+    all rows lack behind it does no harm.
+    """
+    while len(row) > len(form.names) and not row[-1].strip():  # some loggers end every row with a delimiter
+        row.pop()
+    if len(row) == len(form.names) or (len(row) == form.fields < len(form.names) and last < len(row)):
+        return
+    start = f"row {line}: {len(row)} fields, but the header names {len(form.names)}: "
+    if form.delimiter == "," and len(row) > len(form.names):
+        raise NotANumber(
+            start + "mend the row; where decimals or thousands are written with commas, separate the columns with "
+            "semicolons"
+        )
+    raise NotANumber(start + "mend the row, or delete it if the file was cut off there")
+
+
+class _Damage:
+    """Counts the lines of a table that are no rows of numbers.
+
+    Headings and text that a logger wrote again when it was started hold no reading, so that nothing is lost.
+    """
+
+    def __init__(self) -> None:
+        self.lost: list[tuple[int, str]] = []
+
+    def note(self, line: int, what: str, form: Layout, row: list[str]) -> None:
+        cells = tuple(cell.strip().lstrip("\ufeff") for cell in row)
+        if cells not in form.heads and not COMMENT.match(row[0]) and any(map(_READING.match, cells)):
+            self.lost.append((line, what))
+
+    def report(self, source: Path, kept: int, last: int, *, cut_off: bool) -> list[str]:
+        """Return sentences about the rows that are lost, beside `kept` rows. last: number of the last line.
+
+        Raises WrongUse if many are lost.
+        """
+        count = kept + len(self.lost)
+        before = [one for one in self.lost if one[0] < last]
+        if len(before) > _LOST * count or (self.lost and not kept):
+            raise WrongUse(f"{source}, {self.lost[0][1]}")
+        said = []
+        if self.lost:
+            rows = "1 row is" if len(self.lost) == 1 else f"{len(self.lost)} of {count} rows are"
+            said.append(f"{rows} damaged and left out; the first is {self.lost[0][1].partition(': mend')[0]}")
+        if cut_off:
+            said.append(f"the file is cut off after row {last}, and what followed is lost")
+        return said
+
+
+def _rows(source: Path, reader: Reader, above: int) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        line = reader.line_num + above
+        raise WrongUse(f"{source}, near row {line}: {_csv_error(error)}") from None
+
+
+def _csv_error(error: csv.Error) -> str:
+    if "field limit" in str(error):
+        return (
+            f"a field is longer than {csv.field_size_limit()} characters: close the quotation mark that was opened "
+            "there, or check that the file is CSV"
+        )
+    return f"this is not CSV ({error})"
+
+
+def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[str]:
+    """Yield the lines, an empty one for each with NUL bytes, which a disk shows where it lost power."""
+    for at, line in enumerate(lines, above + 1):
+        if "\0" in line:
+            damage.lost.append((at, f"row {at}: NUL bytes, as a disk has after a loss of power"))
+            yield "\n"
+        else:
+            yield line
+
+
+def _other_bytes(error: UnicodeError) -> tuple[str, int]:
+    """Return the text of bytes that are not UTF-8, as Windows writes a degree sign or an accent."""
+    if not isinstance(error, UnicodeDecodeError) or error.encoding.startswith("utf-16"):
+        raise error
+    one = error.object[error.start : error.start + 1]
+    return one.decode("cp1252", "replace"), error.start + 1
+
+
+codecs.register_error("hil-windows", _other_bytes)
+
+
+class _File:
+    """The lines of a text file. cut_off: whether a compressed file ended before its end mark."""
+
+    def __init__(self, text: TextIO) -> None:
+        self._text = text
+        self.cut_off = False
+
+    def __iter__(self) -> Iterator[str]:
+        is_read = False
+        try:
+            for line in iter(partial(self._text.readline, _LONGEST), ""):
+                is_read = True
+                yield line
+        except EOFError:
+            if not is_read:
+                raise
+            self.cut_off = True
+
+
+@contextmanager
+def _open(source: Path) -> Iterator[_File]:
+    try:
+        with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source), "hil-windows", newline="") as text:
+            yield _File(text)
+    except UnicodeDecodeError:
+        raise WrongUse(f"{source} cannot be read as text: save the table as CSV in UTF-8") from None
+    except (gzip.BadGzipFile, EOFError, zlib.error):
+        raise WrongUse(f"{source} cannot be read (it is no gzip file, or is damaged): check the name") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
+
+
+@contextmanager
+def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
+    with open_input(source, largest=_LARGEST) as raw:
+        if source.suffix.lower() == ".gz":
+            with gzip.open(raw, "rb") as unpacked:
+                yield unpacked
+        else:
+            yield raw
+
+
+def _encoding(source: Path) -> str:
+    """Return the encoding of a file: UTF-8 with or without a byte-order mark, or UTF-16, which spreadsheets call
+    Unicode text. Raises WrongUse for a file that is no text.
+    """
+    with _bytes(source) as raw, suppress(EOFError):
+        start = raw.read(_SNIFFED)
+    if start[:2] in {b"\xff\xfe", b"\xfe\xff"}:
+        return "utf-16"
+    for first, name in ((0, "utf-16-be"), (1, "utf-16-le")):
+        if start[first::2].count(0) > _MOSTLY * len(start[first::2]) and not start[1 - first :: 2].count(0):
+            return name
+    if len(start.translate(None, _CONTROLS)) < (1.0 - _CONTROL) * len(start.replace(b"\0", b"")):
+        raise WrongUse(f"{source} is no text: save the table as CSV in UTF-8")
+    return "utf-8-sig"
