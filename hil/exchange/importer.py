@@ -83,17 +83,8 @@ def import_table(
         _check_channels(columns, stand)
         table, columns = with_sums(table, columns) if join is None else of_two(table, join, columns, where, said)
     names = {channel: column.name for channel, column in columns.items()} or _own(table)
-    titles = {channel: table.titles[table.place(column.name)] for channel, column in columns.items()}
-    dimensions = dimensions_of(titles, columns)
-    understood = units_of(titles, columns)
-    numbers, rows = _read(table, names, where if join is None else ())
-    numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
-    channels = dict(zip(names, numbers, strict=True))
-    _check_readings(source, channels, columns)
-    used = _all_stated(source, channels, columns, understood)
-    for channel, unit in used.items():
-        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
-    channels, rows, of_time = _timed(source, channels, rows, units.factor("time", used.get("time", "s")))
+    dimensions = dimensions_of(_titles(table, columns), columns)
+    channels, rows, used, mended = _channels(table, columns, names, where if join is None else ())
     if between != (None, None):
         kept = rows_between(source, channels["time"], units.factor("time", used.get("time", "s")), *between)
         channels, rows = {name: values[kept] for name, values in channels.items()}, rows[kept]
@@ -111,8 +102,30 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
-    repeated = [_mended(text) for text in table.lost] + repeated + of_time
-    return Imported(len(rows), duration, used, in_words(*swings), (*repeated, *diagnostics), "; ".join(said))
+    return Imported(len(rows), duration, used, in_words(*swings), (*mended, *diagnostics), "; ".join(said))
+
+
+def _titles(table: Table, columns: Mapping[str, Column]) -> dict[str, str]:
+    return {channel: table.titles[table.place(column.name)] for channel, column in columns.items()}
+
+
+def _channels(
+    table: Table, columns: Mapping[str, Column], names: Mapping[str, str], where: Sequence[RowFilter]
+) -> tuple[dict[str, Array], NDArray[np.int64], dict[str, str], list[Diagnostic]]:
+    """Return the channels in SI in the order of time, the numbers of their rows, the units of the columns, and what was
+    mended. names: the column of each channel.
+    """
+    titles, source = _titles(table, columns), table.source
+    dimensions, understood = dimensions_of(titles, columns), units_of(titles, columns)
+    numbers, rows = _read(table, names, where)
+    numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
+    channels = dict(zip(names, numbers, strict=True))
+    _check_readings(source, channels, columns)
+    used = _all_stated(source, channels, columns, understood)
+    for channel, unit in used.items():
+        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
+    channels, rows, of_time = _timed(source, channels, rows, units.factor("time", used.get("time", "s")))
+    return channels, rows, used, [*map(_mended, table.lost), *repeated, *of_time]
 
 
 def _read(table: Table, names: Mapping[str, str], where: Sequence[RowFilter]) -> tuple[Array, NDArray[np.int64]]:
