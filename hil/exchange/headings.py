@@ -12,6 +12,7 @@ from hil.errors import WrongUse
 from hil.recording.channels import CHANNELS
 
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\(([^()]*(?:\([^()]*\))?)\)")
+_INDEX = re.compile(r"[\d:, ]+")  # of a column in a matrix, "q[:,2]" or "q(:,3)"
 _SEPARATED = re.compile(r"(?P<stated>(?<!^)\s*/\s*|\s*[,;:]\s+|[\s_]+in[\s_]+)|(?P<joined>[\s_.:-]+)")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SHOWN = 40  # names in a message
@@ -124,8 +125,9 @@ def _dimensions(text: str, mark: str) -> dict[str, str]:
 def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
     for match in _BRACKETS.finditer(title):
         name = (title[: match.start()] + title[match.end() :]).strip()
-        if name:
-            yield name.rstrip("/_ "), next(text for text in match.groups() if text is not None).strip()
+        text = next(text for text in match.groups() if text is not None).strip()
+        if name and not _INDEX.fullmatch(text):
+            yield name.rstrip("/_ "), text
 
 
 def _at_the_end(title: str) -> Iterator[tuple[str, str, str]]:

@@ -15,6 +15,7 @@ from scipy.io import savemat
 
 from hil.errors import WrongUse
 from hil.exchange.columns import open_table
+from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
 
 TIME = np.arange(40) / 250.0
@@ -133,6 +134,14 @@ def test_every_column_of_a_format_has_a_name_that_can_be_typed(files: Path, name
     table = open_table(files / name)
     assert set(expected) <= {*table.titles, *(title.split(" [")[0] for title in table.titles)}
     np.testing.assert_allclose(table.read(list(expected), [])[0], list(expected.values()), atol=1e-6)
+
+
+def test_the_index_of_a_column_is_no_unit_and_one_too_high_is_no_column(files: Path, tmp_path: Path) -> None:
+    columns = {"time": Column("t", "s"), "torque": Column("both[:,0]"), "dtheta": Column("both[:,1]", "rad")}
+    with pytest.raises(WrongUse, match=r"does not say the unit of 'both\[:,0\]'"):
+        import_table(files / "a.npz", tmp_path / "a.h5", columns, [])
+    with pytest.raises(WrongUse, match=r"has no column 'both\[:,7\]'; .*it has t, both\[:,0\], both\[:,1\]"):
+        import_table(files / "a.npz", tmp_path / "a.h5", columns | {"torque": Column("both[:,7]", "N*m")}, [])
 
 
 @pytest.mark.parametrize(("name", "column"), [("a.parquet", "tau"), ("a.jsonl", "joint.tau")])
