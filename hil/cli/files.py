@@ -101,6 +101,10 @@ def import_data(
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
     dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
     command_unit: Annotated[str | None, typer.Option(help="N*m, rad, A, V, ...: what was commanded.")] = None,
+    torque_code: Annotated[
+        str | None, typer.Option(metavar="CODE", help="Sign of raw numbers: wrap=65536 (16 bits), sign=1024 (a bit).")
+    ] = None,
+    dtheta_code: Annotated[str | None, typer.Option(metavar="CODE", help="The same for the angle.")] = None,
     torque_scale: Annotated[float, typer.Option(help="Multiply the torque; -1 inverts its sign.")] = 1.0,
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
@@ -132,8 +136,8 @@ def import_data(
         source,
         output,
         _columns("time", (time_unit, 1.0), time=time)
-        | _columns("torque", (torque_unit, torque_scale), torque=torque, motor_torque=motor_torque)
-        | _columns("dtheta", (dtheta_unit, dtheta_scale), dtheta=dtheta, motor_position=motor_position)
+        | _columns("torque", (torque_unit, torque_scale, torque_code), torque=torque, motor_torque=motor_torque)
+        | _columns("dtheta", (dtheta_unit, dtheta_scale, dtheta_code), dtheta=dtheta, motor_position=motor_position)
         | _columns("dtheta-dot", (dtheta_dot_unit, dtheta_dot_scale), dtheta_dot=dtheta_dot)
         | _columns("command", (command_unit, command_scale), command=command),
         [RowFilter.parse(text) for text in where or ()],
@@ -159,12 +163,14 @@ def _say_imported(output: Path, done: Imported) -> None:
     print_diagnostics(done.diagnostics)
 
 
-def _columns(option: str, given: tuple[str | None, float], **names: str | None) -> dict[str, Column]:
+def _columns(
+    option: str, given: tuple[str | None, float, *tuple[str | None, ...]], **names: str | None
+) -> dict[str, Column]:
     """Return the column, with unit and scale, that each option names. Raises WrongUse for a unit without a column."""
     from hil.exchange.importer import Column
 
     found = {channel: Column(name, *given) for channel, name in names.items() if name is not None}
-    if not found and given != (None, 1.0):
+    if not found and {*given} != {None, 1.0}:
         columns = " or ".join(f"--{channel.replace('_', '-')}" for channel in names)
         raise WrongUse(f"--{option}-unit and --{option}-scale need a column: name it with {columns}")
     return found

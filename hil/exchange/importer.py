@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from hil.errors import WrongUse
 from hil.exchange.columns import Table, open_table
 from hil.exchange.command import MODES, check_command, held
 from hil.exchange.headings import heading, listed
-from hil.exchange.mending import clock
+from hil.exchange.mending import clock, signs
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, of_two, units_of, with_sums
 from hil.exchange.wanted.interval import rows_between
@@ -31,6 +32,8 @@ __all__ = ["Column", "Imported", "import_table"]
 Array = NDArray[np.float64]
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
+_PAIRS = (("torque", "motor_torque"), ("dtheta", "motor_position"))
+_WHOLE = 0.05  # of a turn, within which the range of an encoder is one
 _DAMAGED = 0.01  # share of the rows that may have no time
 _SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
 
@@ -122,6 +125,7 @@ def _channels(
     channels = dict(zip(names, numbers, strict=True))
     _check_readings(source, channels, columns)
     used = _all_stated(source, channels, columns, understood)
+    channels = _with_signs(source, channels, columns, used)
     for channel, unit in used.items():
         channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
     channels, rows, of_time = _timed(source, channels, rows, units.factor("time", used.get("time", "s")))
@@ -169,6 +173,42 @@ def _all_stated(
     return {channel: unit for channel, unit in stated.items() if unit is not None}
 
 
+def _with_signs(
+    source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], used: Mapping[str, str]
+) -> dict[str, Array]:
+    """Return the channels, those with a code decoded. Raises WrongUse, with the code, for numbers without their sign.
+
+    An encoder that passes a whole turn needs no code: identification removes such jumps.
+    """
+    found = dict(channels)
+    for channel, column in columns.items():
+        if column.code is not None:
+            found[channel] = signs.decoded(channels[channel], column.code)
+    pair = [next((one for one in pair if one in columns), None) for pair in _PAIRS]
+    if None in pair:
+        return found
+    codes = signs.recognised(*(found[str(channel)] for channel in pair))
+    for channel, option, code in zip(pair, ("torque", "dtheta"), codes, strict=True):
+        column = columns[str(channel)]
+        if code == "none" or column.code is not None:
+            continue
+        turns = (
+            signs.size_of(code)
+            * abs(column.scale)
+            * units.factor(DIMENSION[str(channel)], used[str(channel)])
+            / math.tau
+        )
+        if option == "dtheta" and code.startswith("wrap") and math.isclose(turns, 1.0, rel_tol=_WHOLE):
+            continue
+        raise WrongUse(
+            f"{source}: the numbers of {column.name!r} lack their sign. They are {_raw_range(channels[str(channel)])}, "
+            f"and jump where the {'torque' if option == 'torque' else 'angle'} passes zero, as those of a register do "
+            "that was read without a sign, so that neither Kc nor Bc can come from them. Decode them with "
+            f"--{option}-code {code}"
+        )
+    return found
+
+
 def _check_readings(source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column]) -> None:
     """Raise WrongUse if a named column contains no number: its cells are empty, or all its rows were filtered out."""
     for channel, column in columns.items():
@@ -184,7 +224,7 @@ def _raw_range(values: Array) -> str:
 def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swing, Swing]:
     """Return the smallest and largest value of torque and deflection, with their units."""
     found = []
-    for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
+    for joint, motor in _PAIRS:
         unit = used.get(joint) or used.get(motor)
         factor = 1.0 if unit is None else units.factor(DIMENSION[joint], unit)
         found.append(Swing.of(channels[joint], factor))
@@ -239,7 +279,7 @@ def _own(table: Table) -> dict[str, str]:
 def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
     if "time" not in columns:
         raise WrongUse("name the column of the time with --time")
-    for joint, motor in (("torque", "motor_torque"), ("dtheta", "motor_position")):
+    for joint, motor in _PAIRS:
         options = f"--{joint}", f"--{motor.replace('_', '-')}"
         if joint in columns and motor in columns:
             raise WrongUse(f"give either {options[0]} or {options[1]}, not both")

@@ -36,12 +36,14 @@ class Column:
     """The column of a table from which a channel is imported.
 
     name: of the column. unit: None: the unit in the heading ("tau [mN m]", "tau_mNm", "tau/mNm"). scale: a further
-    factor on the values; -1 inverts the sign.
+    factor on the values; -1 inverts the sign. code: how the numbers have their sign, as in `signs.decoded`; None: they
+    are refused if they lack it.
     """
 
     name: str
     unit: str | None = None
     scale: float = 1.0
+    code: str | None = None
 
 
 def of_two(

@@ -7,6 +7,7 @@ import math
 import re
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from hil.api.recordings import load
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
-from hil.recording.reader import Recording
+from hil.recording.reader import Array, Recording
 from hil.signals.prepare import prepare
 from hil.stand.file import parse
 
@@ -418,6 +419,47 @@ def test_a_log_is_read_as_it_was_meant_and_what_is_lost_is_said(
     np.testing.assert_allclose(torque, 0.5 * angle, atol=2e-6)
     assert said is None or said in done.diagnostics[0].message
     assert [one.code for one in done.diagnostics] == ["mended-table"] * (said is not None)
+
+
+COUNTS = np.round(MOVING[:, 1] * 800).astype(int)
+ANGLES = np.round(MOVING[:, 2] * 500).astype(int)
+
+
+@pytest.mark.parametrize(
+    ("torque", "angle", "codes"),
+    [
+        (COUNTS & 0xFFFF, ANGLES, ("wrap=65536", None)),
+        (np.where(COUNTS < 0, 1024 - COUNTS, COUNTS), ANGLES, ("sign=1024", None)),
+        (COUNTS & 0x3FF, ANGLES, ("wrap=1024", None)),
+        ((COUNTS & 0xFFFF) * 0.00269, ANGLES, ("wrap=176.29184", None)),
+        (COUNTS, np.where(ANGLES < 0, 32768 - ANGLES, ANGLES), (None, "sign=32768")),
+        (np.where(COUNTS < 0, 1024 - COUNTS, COUNTS), ANGLES & 0xFFFF, ("sign=1024", "wrap=65536")),
+    ],
+    ids=["two's complement", "sign bit", "10 bits", "scaled", "angle", "both"],
+)
+def test_numbers_without_their_sign_are_recognised_and_read_right_with_the_code_that_is_offered(
+    tmp_path: Path, torque: Array, angle: Array, codes: tuple[str | None, str | None]
+) -> None:
+    rows = zip(MOVING[:, 0].tolist(), torque.tolist(), angle.tolist(), strict=True)
+    (tmp_path / "a.csv").write_text("t,q,a\n" + "".join(f"{t:.2f},{q:.10g},{a}\n" for t, q, a in rows))
+    columns = {"time": Column("t", "s"), "torque": Column("q", "N*m"), "dtheta": Column("a", "rad", 0.002)}
+    for channel, code in zip(("torque", "dtheta"), codes, strict=True):
+        if code is not None:
+            with pytest.raises(WrongUse, match=f"lack their sign.*--{channel}-code {code}"):
+                import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
+            columns[channel] = replace(columns[channel], code=code)
+    import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
+    with Recording(tmp_path / "a.h5") as recording:
+        found, moved = recording.channel("torque"), recording.channel("dtheta")
+    np.testing.assert_allclose(found, moved * (found @ moved) / (moved @ moved), atol=0.01 * np.ptp(found))
+
+
+def test_a_torque_in_one_direction_has_its_sign(tmp_path: Path) -> None:
+    steps = 1000 * (np.arange(400) % 40 < 20)
+    rows = zip(MOVING[:, 0].tolist(), steps.tolist(), (0.001 * steps).tolist(), strict=True)
+    (tmp_path / "a.csv").write_text("t,q,a\n" + "".join(f"{t:.2f},{q},{a}\n" for t, q, a in rows))
+    columns = {"time": Column("t", "s"), "torque": Column("q", "mN*m"), "dtheta": Column("a", "rad")}
+    assert import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, []).samples == 400
 
 
 @pytest.mark.parametrize(
