@@ -21,6 +21,7 @@ from hil.standard_files import open_standard_files
 
 if TYPE_CHECKING:
     from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify, identify_each
+    from hil.api.hysteresis import HysteresisResult, hysteresis
     from hil.api.planning import DesignResult, design
     from hil.api.recordings import LoadedRecording, load
     from hil.api.runs import Run, record, simulate
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ComparisonResult",
     "DesignResult",
+    "HysteresisResult",
     "IdentificationResult",
     "LoadedRecording",
     "NoResult",
@@ -37,6 +39,7 @@ __all__ = [
     "WrongUse",
     "compare",
     "design",
+    "hysteresis",
     "identify",
     "identify_each",
     "load",
@@ -53,6 +56,7 @@ _PLACES = {
         "identify",
         "identify_each",
     ),
+    "hil.api.hysteresis": ("HysteresisResult", "hysteresis"),
     "hil.api.planning": ("DesignResult", "design"),
     "hil.api.recordings": ("LoadedRecording", "load"),
     "hil.api.runs": ("Run", "record", "simulate"),

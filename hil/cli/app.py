@@ -23,6 +23,7 @@ from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
 from hil.cli.examples import Command, below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover, view
+from hil.cli.hysteresis import hysteresis
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
 from hil.cli.many.compare import compare
@@ -67,6 +68,7 @@ _NO_MORE = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN})  
 _COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "identify": identify,
+    "hysteresis": hysteresis,
     "compare": compare,
     "report": report,
     "inspect": inspect,

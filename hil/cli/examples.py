@@ -18,6 +18,10 @@ EXAMPLES = MappingProxyType(
             "hil identify run1.h5 --report run1.html",
             "hil identify run1.h5 run2.h5 --model linear+offset+coulomb --json",
         ),
+        "hysteresis": (
+            "hil hysteresis ramp1.h5 ramp2.h5 --report ramps.html",
+            "hil hysteresis weights.csv --part 0:7N*m --part 7:50N*m --lost-motion 1N*m",
+        ),
         "compare": ("hil compare monday.h5 tuesday.h5 friday.h5 --report week.html",),
         "report": ("hil report monday.h5 tuesday.h5 friday.h5 -o week.html",),
         "inspect": ("hil inspect run1.h5",),

@@ -1,0 +1,129 @@
+"""The function that measures the loops of slow torsion tests, and the class of its result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hil import units
+from hil.errors import Untrustworthy, WrongUse
+from hil.exchange.columns import Table, open_table
+from hil.exchange.headings import listed, unit_of
+from hil.hysteresis_curve.branches import Torsion
+from hil.hysteresis_curve.measures import Measures, measure
+from hil.report import hysteresis as hysteresis_report
+from hil.signals.angle import unwrapped
+from hil.signals.source import open_sources
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+AnyPath = str | os.PathLike[str]
+_FEWEST = 6  # rows of a test
+_RECORDINGS = frozenset({".h5", ".hdf5", ".part"})
+
+
+@dataclass(frozen=True, slots=True)
+class HysteresisResult:
+    """The result of `hysteresis`. `str(result)` is the answer in one line; measures: all numbers."""
+
+    measures: Measures
+    paths: tuple[Path, ...]
+
+    def __str__(self) -> str:
+        return hysteresis_report.headline(self.measures)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil hysteresis --json`."""
+        return hysteresis_report.as_json(self.measures)
+
+    def plot(self) -> Figure:
+        """Return a figure of the loops: torque over angle."""
+        return hysteresis_report.figure(self.measures)
+
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the HTML report to `path` and return the path. command: printed in the report. Raises WrongUse."""
+        return hysteresis_report.write_page(self.measures, self.paths, Path(path), command, force=force)
+
+
+def hysteresis(
+    runs: AnyPath | Sequence[AnyPath],
+    *,
+    rated: float | None = None,
+    parts: Sequence[tuple[float, float]] = (),
+    lost_motion: float | None = None,
+    torque: str | None = None,
+    dtheta: str | None = None,
+    torque_unit: str | None = None,
+    dtheta_unit: str | None = None,
+) -> HysteresisResult:
+    """Measure stiffness, lost motion, hysteresis, play and loss of slow torsion tests of one joint.
+
+    runs: recordings of hil, or tables of torque and angle in the order in which they were read, without a time. rated,
+    parts, lost_motion: torques, N m, as in `hil.hysteresis_curve.measures.measure`. torque, dtheta: the columns of a
+    table; None: the only column whose heading has a unit of torque, or of an angle. torque_unit, dtheta_unit: None: the
+    heading's. Raises WrongUse, and Untrustworthy if no branch loads the joint.
+    """
+    paths = [Path(run) for run in ([runs] if isinstance(runs, str | os.PathLike) else runs)]
+    columns = (("torque", torque, torque_unit), ("angle", dtheta, dtheta_unit))
+    tests = [_recording(path) if path.suffix.lower() in _RECORDINGS else _table(path, columns) for path in paths]
+    return HysteresisResult(measure(tests, rated, parts, lost_motion), tuple(paths))
+
+
+def _recording(path: Path) -> Torsion:
+    with open_sources([path]) as (source,):
+        source.verify()
+        names = ("torque", "dtheta", "command", "time")
+        torque, angle, command, time = (source.recording.channel(name) for name in names)
+    good = np.isfinite(torque) & np.isfinite(angle) & np.isfinite(time)
+    known = bool(np.isfinite(command[good]).all() and np.ptp(command[good]) > 0.0) if good.any() else False
+    return _test(path, torque[good], angle[good], command[good] if known else None, float(np.ptp(time[good])))
+
+
+def _table(path: Path, columns: Sequence[tuple[str, str | None, str | None]]) -> Torsion:
+    table = open_table(path)
+    titles = [_title(table, dimension, name) for dimension, name, _ in columns]
+    factors = []
+    for title, (dimension, _, given) in zip(titles, columns, strict=True):
+        unit = given or unit_of(title, dimension)
+        if unit is None:
+            option = "--torque-unit" if dimension == "torque" else "--dtheta-unit"
+            raise WrongUse(f"{path} does not say the unit of {title!r}: give it with {option}, or in the heading")
+        factors.append(units.factor(dimension, unit))
+    (torque, angle), _ = table.read(titles, ())
+    good = np.isfinite(torque) & np.isfinite(angle)
+    return _test(path, torque[good] * factors[0], angle[good] * factors[1])
+
+
+def _title(table: Table, dimension: str, name: str | None) -> str:
+    """Return the heading of a column: the named one, or else the only one with a unit of the dimension."""
+    if name is not None:
+        return table.titles[table.place(name)]
+    found = []
+    for title in table.titles:
+        try:
+            found += [title] if unit_of(title, dimension) is not None else []
+        except WrongUse:  # a unit of another dimension
+            continue
+    if len(found) != 1:
+        option = "--torque" if dimension == "torque" else "--dtheta"
+        has = f"{len(found)} columns" if found else "no column"
+        raise WrongUse(
+            f"{table.source} has {has} with a unit of {dimension}: name the column with {option}; it has "
+            f"{listed(table.titles)}"
+        )
+    return found[0]
+
+
+def _test(path: Path, torque: Any, angle: Any, command: Any = None, seconds: float = float("nan")) -> Torsion:
+    if len(torque) < _FEWEST or not np.ptp(torque) > 0.0 or not np.ptp(angle) > 0.0:
+        raise Untrustworthy(
+            f"{path}: torque or angle never changes in {len(torque)} rows with both, so there is no loop: check the "
+            "columns, or load the joint"
+        )
+    return Torsion(str(path), torque, unwrapped(angle, torque)[0], command, seconds)
