@@ -21,6 +21,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.servo import Watch
 from hil.live.rerun import check as check_rerun
 from hil.live.viewer import beside
+from hil.printable import quoted
 from hil.recording.background import BackgroundWriter
 from hil.recording.output import (
     NameTaken,
@@ -220,7 +221,7 @@ def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
             writer.discard()
     except Exception as error:  # noqa: BLE001 - in any case the user must learn where the data is
         kept = writer.path if writer.path.exists() else None
-        hint = f"\nThe run itself is safe: hil recover {kept} -o OTHER.h5" if _is_readable(writer.path) else ""
+        hint = f"\nThe run itself is safe: hil recover {quoted(kept)} -o OTHER.h5" if _is_readable(writer.path) else ""
         failure = WrongUse(f"{error}{hint}")
         failure.__cause__ = error
         if outcome.error is None:

@@ -13,6 +13,7 @@ from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.errors import WrongUse, meant
+from hil.printable import quoted
 from hil.stand.sentences import names_the_value, sentence
 from hil.stand.toml_table import line_of, load_table
 
@@ -146,7 +147,7 @@ def _check_reach(plan: Plan, *, given: bool) -> None:
     if ".py:" in model and not given:
         raise WrongUse(
             f"{plan.path}: campaign.model = {model!r} is a Python file, and a plan runs none: read that file, then "
-            f"name it yourself: hil campaign {plan.path} --model {model}"
+            f"name it yourself: hil campaign {quoted(plan.path)} --model {quoted(model)}"
         )
     try:
         inside = plan.folder.resolve().is_relative_to(plan.path.parent.resolve())

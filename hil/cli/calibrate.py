@@ -15,6 +15,7 @@ from hil.cli import options
 from hil.cli.examples import below_help
 from hil.cli.terminal import command_line, out, print_diagnostics, say
 from hil.errors import Untrustworthy, WrongUse
+from hil.printable import quoted
 
 if TYPE_CHECKING:
     from hil.calibration.points import Load
@@ -132,7 +133,7 @@ def fixture(
     kc, bc = found["Kc"], found["Bc"]
     out(f"the fixture has {kc.value:.4g} N m/rad and {bc.value:.3g} N m s/rad, from {recording}")
     print_diagnostics(found.diagnostics)
-    say(f"stored in [calibration.fixture] of {stand}; use it with: hil identify run.h5 --fixture {stand}")
+    say(f"stored in [calibration.fixture] of {stand}; use it with: hil identify run.h5 --fixture {quoted(stand)}")
 
 
 @calibrate.command(epilog=below_help("calibrate zero"))

@@ -11,6 +11,7 @@ from hil.cli.identify import publish
 from hil.cli.progress import progress
 from hil.cli.record import record
 from hil.cli.terminal import UNTRUSTWORTHY, detail, out
+from hil.printable import quoted
 
 
 def demo(output: options.Folder = Path("hil-demo")) -> None:
@@ -33,6 +34,6 @@ def demo(output: options.Folder = Path("hil-demo")) -> None:
     publish(found, page)
     for line in truth_lines(found.identification, load(path).truth):
         out(line)
-    detail(f"The recording is {path}; look at it with: hil inspect {path}")
+    detail(f"The recording is {path}; look at it with: hil inspect {quoted(path)}")
     if not found.trustworthy:
         raise typer.Exit(UNTRUSTWORTHY)

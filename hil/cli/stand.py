@@ -12,6 +12,7 @@ from hil.cli import options
 from hil.cli.examples import below_help
 from hil.cli.terminal import note, out, say
 from hil.errors import WrongUse, meant
+from hil.printable import quoted
 
 if TYPE_CHECKING:
     from hil.stand.draft import Draft, Question
@@ -57,7 +58,7 @@ def new(
     parse(text, str(output))
     with atomic_write(output, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    note(f"wrote {output}; look at the drive with: hil doctor {output}")
+    note(f"wrote {output}; look at the drive with: hil doctor {quoted(output)}")
 
 
 @stand.command(epilog=below_help("stand schema"))

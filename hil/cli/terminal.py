@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import logging
 import os
-import re
 import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
-from unicodedata import category
 
 import typer
 
 from hil.errors import WrongUse
+from hil.printable import printable
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,10 +24,8 @@ if TYPE_CHECKING:
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERRUPTED = 130
-_UNUSUAL = re.compile(r"[^\n\t -~]")
 _SPELLED = str.maketrans({"\u00b1": "+/-", "\u00b5": "u", "\u00b7": "*", "\u2026": "..."})
 _LONGEST = 10_000  # characters of a line: the command to resume a search of many files has some thousand
-_STEERING = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})  # Unicode's controls, formats, surrogates, separators of lines
 
 
 def out(text: str, *, is_drawn: bool = False) -> None:
@@ -79,14 +76,6 @@ def _cut(line: str) -> str:
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]}... ({len(line) - _LONGEST} more characters)"
 
 
-def printable(text: str) -> str:
-    """Return text with its terminal control characters escaped, except line ends and tabs.
-
-    Names and messages may come from other people's files: an escape sequence in such a text could rewrite the screen.
-    """
-    return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
-
-
 def _encodable(text: str, encoding: str | None) -> str:
     """Return text in which the characters that a terminal's encoding lacks are spelled out or escaped."""
     try:
@@ -94,10 +83,6 @@ def _encodable(text: str, encoding: str | None) -> str:
     except UnicodeEncodeError as error:
         return text.translate(_SPELLED).encode(error.encoding, "backslashreplace").decode(error.encoding)
     return text
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape").decode() if category(character) in _STEERING else character
 
 
 def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSError | None:

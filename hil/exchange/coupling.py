@@ -11,6 +11,7 @@ from typing import Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
+from hil.printable import quoted
 from hil.recording.input import read_text
 from hil.report.identification_json import upgraded
 
@@ -58,7 +59,9 @@ def of_result(path: Path) -> Coupling:
     except (ValueError, RecursionError):
         table = None
     if not isinstance(table, dict) or "schema" not in table:
-        raise WrongUse(f"{path} is no result of hil identify: write one with `hil identify RECORDING --json > {path}`")
+        raise WrongUse(
+            f"{path} is no result of hil identify: write one with `hil identify RECORDING --json > {quoted(path)}`"
+        )
     try:
         current = upgraded(table)
     except (KeyError, TypeError, AttributeError):

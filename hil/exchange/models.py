@@ -158,7 +158,7 @@ def _notes(coupling: Coupling) -> list[str]:
 def _safe(text: str) -> str:
     """Return the text without characters that would end a comment in XML or C, or begin a new line."""
     plain = "".join(character if character.isprintable() else "?" for character in text)
-    return plain.replace("--", "- -").replace("*/", "* /").rstrip("-\\")
+    return re.sub("-(?=-)", "- ", plain).replace("*/", "* /").rstrip("-\\")
 
 
 def _root(tag: str, coupling: Coupling, attributes: Attributes) -> ET.Element:

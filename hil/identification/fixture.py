@@ -14,6 +14,7 @@ from hil.identification.identify import identify_sources
 from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
 from hil.signals.source import open_sources
@@ -51,13 +52,15 @@ def empty_rig(path: Path) -> Path:
         return path
     fixture = load(path).calibration.fixture
     if fixture is None:
-        raise WrongUse(f"{path} has no [calibration.fixture]: record the empty rig with hil calibrate fixture {path}")
+        raise WrongUse(
+            f"{path} has no [calibration.fixture]: record the empty rig with hil calibrate fixture {quoted(path)}"
+        )
     recording = path.parent / fixture.recording
     with Recording(recording) as opened:
         if str(opened.attributes.get("uid", "")) != fixture.uid:
             raise WrongUse(
                 f"{recording} is not the recording that [calibration.fixture] of {path} was made from: calibrate again "
-                f"with hil calibrate fixture {path}"
+                f"with hil calibrate fixture {quoted(path)}"
             )
     return recording
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from unicodedata import category
 
 from hil.errors import WrongUse
+from hil.printable import quoted
 from hil.recording.posix import is_at, lock, open_binary, remove, sync_folder, take_name
 
 _OTHERS = frozenset(
@@ -91,8 +92,8 @@ def check_unfinished(path: Path) -> None:
         if part.exists():
             check_ended(part)
             raise WrongUse(
-                f"{part} is a recording that never ended: keep it with `hil recover {part}`, choose another name with "
-                "-o, or remove it with `hil record --force`"
+                f"{part} is a recording that never ended: keep it with `hil recover {quoted(part)}`, choose another "
+                "name with -o, or remove it with `hil record --force`"
             )
 
 

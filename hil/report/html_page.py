@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
+from hil.printable import printable
 from hil.recording.output import atomic_write
 from hil.report.chart import Chart, library
 
@@ -90,7 +91,7 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
     parts = {name: Markup(part) for name, part in library().items()} if charts else {}  # noqa: S704 - of this package
     text = template.from_string(source).render(page=page, pictures=charts, json=embedded, library=parts)
     with atomic_write(path, force=force) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(printable(text), encoding="utf-8")
     return path
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.errors import Untrustworthy
+from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.reader import Recording
 from hil.stand.file import LimitsTable, Stand, StandTable, parse
@@ -45,7 +46,7 @@ class Source:
         if self.recording.damaged:
             raise Untrustworthy(
                 f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "
-                f"which they count as lost with `hil recover {self.path}`"
+                f"which they count as lost with `hil recover {quoted(self.path)}`"
             )
         if not self.recording.verify(progress):
             raise Untrustworthy(

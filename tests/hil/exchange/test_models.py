@@ -7,6 +7,8 @@ import math
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -35,6 +37,13 @@ def result(**changes: Any) -> dict[str, Any]:
     found = {"Kc": parameter(KC, "N*m/rad"), "Bc": parameter(BC, "N*m*s/rad")}
     table: dict[str, Any] = {"schema": "hil-identification/2", "model": "linear", "recordings": ["a.h5"]}
     return table | {"parameters": found, "warnings": [], "errors": []} | changes
+
+
+@pytest.mark.parametrize("written", [models.mujoco, models.urdf, models.sdf])
+def test_no_name_of_a_recording_ends_the_comment_that_it_stands_in(written: Callable[[Coupling], str]) -> None:
+    hostile = ("a--->b.h5", "--><include file='/etc/passwd'/><!-", "c--", "\x1b-\x00-\ud800>.h5")
+    root = ET.fromstring(written(replace(COUPLING, source=hostile, model="linear---><evil/>")))  # noqa: S314 - ours
+    assert not {"include", "evil"} & {one.tag for one in root.iter()}
 
 
 @pytest.mark.study
