@@ -16,7 +16,8 @@ from hil.exchange.columns import Table, open_table
 from hil.exchange.headings import listed, unit_of
 from hil.hysteresis_curve.branches import Torsion
 from hil.hysteresis_curve.measures import Measures, measure
-from hil.report import hysteresis as hysteresis_report
+from hil.report.loops import hysteresis as hysteresis_report
+from hil.report.pictures.canvas import drawn
 from hil.signals.angle import unwrapped
 from hil.signals.source import open_sources
 
@@ -44,7 +45,7 @@ class HysteresisResult:
 
     def plot(self) -> Figure:
         """Return a figure of the loops: torque over angle."""
-        return hysteresis_report.figure(self.measures)
+        return drawn(hysteresis_report.chart(self.measures))
 
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. command: printed in the report. Raises WrongUse."""

@@ -23,10 +23,10 @@ from hil.cli.doctor import doctor
 from hil.cli.emulate import emulate
 from hil.cli.examples import Command, below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover, view
-from hil.cli.hysteresis import hysteresis
 from hil.cli.identify import identify
 from hil.cli.many.campaign import campaign
 from hil.cli.many.compare import compare
+from hil.cli.many.hysteresis import hysteresis
 from hil.cli.many.report import report
 from hil.cli.record import record
 from hil.cli.replicate import replicate

@@ -323,7 +323,11 @@ def test_the_command_line_that_made_a_report_is_in_it(
 def test_no_text_of_a_file_steers_the_browser(tmp_path: Path) -> None:
     """A page is text as a terminal shows it: without escape sequences, marks of direction and halves of characters."""
     title = "\x1b[2J\u202e\x00\ud800\u2028"
-    write(Page(title, title, (title,), [], [Section(title, [[title]])], [], [(title, title)], {}), tmp_path / "p.html", force=True)
+    write(
+        Page(title, title, (title,), [], [Section(title, [[title]])], [], [(title, title)], {}),
+        tmp_path / "p.html",
+        force=True,
+    )
     text = (tmp_path / "p.html").read_text(encoding="utf-8")
     assert not set(title) - set("[2J") & set(text)
     assert "\\x1b[2J\\u202e" in text

@@ -37,7 +37,7 @@ def hysteresis(
     """Measure stiffness, lost motion, hysteresis, play and loss of slow torsion tests. Bc cannot come from them."""
     from hil.api.hysteresis import hysteresis as measure
     from hil.recording.output import check_output
-    from hil.report.hysteresis import NO_DAMPING, tables
+    from hil.report.loops.hysteresis import NO_DAMPING, tables
     from hil.report.pictures.files import check_picture_name, save_picture
 
     options.check_report(report, runs, force=force)

@@ -1,4 +1,4 @@
-"""The result of `hil hysteresis` as tables, a JSON object, a figure and a page. Nothing is printed here."""
+"""The result of `hil hysteresis` as tables, a JSON object, a chart and a page. Nothing is printed here."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hil.hysteresis_curve.measures import UNITS, Measures, Spread
+from hil.report.chart import Chart, Line, Panel
 from hil.report.formatting import engineering, json_number, plain_table
 from hil.report.html_page import Page, Picture, Section, table_rows, write
-from hil.report.pictures.canvas import canvas, literal
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.table import Table
 
 SCHEMA = "hil-hysteresis/1"
@@ -84,17 +85,20 @@ def _spread(one: Spread, unit: str) -> dict[str, Any]:
     }
 
 
-def figure(found: Measures) -> Figure:
-    """Return a figure of the loops, torque over angle, with the ends of the last part as dashed lines."""
-    drawn, (panel,) = canvas(1, 1, (7, 6))
-    for one in found.tests:
-        panel.plot(one.angle - one.angle[0], one.torque, lw=0.6, label=literal(Path(one.name).name))
-    panel.set(xlabel="angle from the first reading [rad]", ylabel="torque [N m]")
-    for sign in (1.0, -1.0):
-        for torque in found.parts[-1]:
-            panel.axhline(sign * torque, color="gray", ls="--", lw=0.5)
-    panel.legend(loc="best")
-    return drawn
+def chart(found: Measures) -> Chart:
+    """Return a chart of the loops, torque over angle, with the ends of the last part as dashed lines."""
+    colours = ("first", "good", "error", "soft", "ink")
+    loops = [
+        Line(Path(one.name).name, one.angle - one.angle[0], one.torque, colours[at % len(colours)])
+        for at, one in enumerate(found.tests)
+    ]
+    ends = np.array([min(one.x.min() for one in loops), max(one.x.max() for one in loops)])
+    parts = [
+        Line("", ends, np.full(2, sign * torque), "soft", width=0.5, dashed=True)
+        for sign in (1.0, -1.0)
+        for torque in found.parts[-1]
+    ]
+    return Chart([Panel("angle from the first reading [rad]", "torque [N m]", [*loops, *parts])])
 
 
 def write_page(found: Measures, paths: Sequence[Path], path: Path, command: str = "", *, force: bool) -> Path:
@@ -108,7 +112,7 @@ def write_page(found: Measures, paths: Sequence[Path], path: Path, command: str 
         verdict=(answer, NO_DAMPING),
         diagnostics=(),
         sections=[Section(f"{table.title}".capitalize(), table_rows(table)) for table in tables(found)],
-        pictures=[Picture("loops", "Torque over angle", f"The loops. {answer}", lambda: figure(found))],
+        pictures=[Picture("loops", "Torque over angle", f"The loops. {answer}", lambda: chart(found))],
         provenance=provenance([one for one in paths if one.suffix in {".h5", ".part"}], command),
         table=as_json(found),
     )

@@ -1,0 +1,1 @@
+"""The result of `hil hysteresis` as tables, JSON, chart and page."""
