@@ -16,7 +16,6 @@ from threadpoolctl import ThreadpoolController
 from ga.model.record import Parameter, positive_among
 from hil.diagnostics import Diagnostic
 from hil.first_run import compiled_ahead
-from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
 from hil.identification.averaging.average import averaged
 from hil.identification.dataset import Dataset, open_dataset
 from hil.identification.doubts.identifiability import judge, wide_intervals
@@ -79,10 +78,8 @@ def _identified(
     stands = [*same_stand_diagnostics(sources), *calibration_diagnostics(sources)]
 
     def chosen(signals: Signals, whole: bool) -> Choice:
-        if model is None:
-            refuse_slow_ramp(signals)
-            if progress is not None:
-                progress("choosing the model", 0.0)
+        if progress is not None and model is None:
+            progress("choosing the model", 0.0)
         return choose(model, signals, linear_only=not whole or search.preset == "paper")
 
     with open_dataset(sources, chosen, progress, rest=rest_for(model)) as data:

@@ -15,6 +15,7 @@ from ga.model.separable import Problem, SeparableModel, fit
 from ga.model.terms import CONSIDERED, RARER, TERMS, with_another
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
+from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
 from hil.identification.fitting.described import Described, tested
 from hil.identification.selection import stepwise
 from hil.identification.selection.fits import LATE, Fits
@@ -72,7 +73,8 @@ def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Ch
     """Return the model for the signals. model: the model that the user named; None for model selection.
 
     linear_only: allow only models that are linear in their parameters, as the `paper` preset and recordings that do not
-    fit in memory need. Raises WrongUse for a model that is not allowed, Untrustworthy if no model can be fitted.
+    fit in memory need. Raises WrongUse for a model that is not allowed, Untrustworthy if no model can be fitted, or if
+    one is to be selected for a slow ramp that none explains.
     """
     if model is not None and linear_only and model.nonlinear:
         raise WrongUse(
@@ -80,7 +82,10 @@ def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Ch
             "paper does not search for them, and they need recordings that fit in memory. Leave the term out of --model"
         )
     try:
-        return _named(model, signals) if model is not None else _selected(signals, linear_only=linear_only)
+        if model is not None:
+            return _named(model, signals)
+        refuse_slow_ramp(signals)
+        return _selected(signals, linear_only=linear_only)
     except RuntimeError as error:
         raise Untrustworthy(f"no model can be fitted ({error}): look at it with hil inspect") from error
 
