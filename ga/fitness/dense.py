@@ -100,20 +100,25 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
         blocks.append((columns[part][is_open], residual[is_open]))
         sign = np.where(is_open, 0.0, np.where(residual >= 0.0, 1.0, -1.0))
         sums = _in_lanes(sign * np.vstack([residual, columns[part].T])).cumsum(axis=2)[:, :, -1]
-        settled = np.hstack([settled[:, None], sums]).cumsum(axis=1)[:, -1]
+        settled = np.hstack([settled[:, None], sums]).cumsum(axis=1)[:, -1].copy()
     return Samples(
         blocks=_blocks(np.vstack([one for one, _ in blocks]), np.hstack([one for _, one in blocks])),
         length=len(torque),
         floor=resolution(torque),
         scratch=np.empty((2, LANES)),
         place=np.empty(p),
-        origin=start.centre,
+        origin=_as_compiled(start.centre),
         settled=settled,
-        forward=start.forward,
+        forward=_as_compiled(start.forward),
         reach=reach,
-        columns=columns,
-        torque=torque,
+        columns=_as_compiled(columns),
+        torque=_as_compiled(torque),
     )
+
+
+def _as_compiled(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values in one memory layout, writable: the search would be compiled again for each other layout."""
+    return np.require(values, np.float64, ["C", "W"])
 
 
 def _opened(
@@ -150,7 +155,7 @@ def shared(samples: Samples) -> Samples:
     return samples._replace(scratch=np.empty_like(samples.scratch), place=np.empty_like(samples.place))
 
 
-@compiled_within
+@compiled_no_refcount
 def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> float:
     """Return equation 5 for one chromosome (p,), N m; the result may be infinite if the error exceeds the limit."""
     for k in range(genes.size):
