@@ -32,7 +32,7 @@ from .budget import (  # noqa: F401 - hooks
     pytest_terminal_summary,
 )
 
-settings.register_profile("hil", deadline=None)  # a busy computer makes no example wrong
+settings.register_profile("hil", deadline=None, max_examples=40)  # a busy computer makes no example wrong
 settings.load_profile("hil")
 
 SOFTWARE = functools.cache(writer._software)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from tests.ga.conftest import Data, Making
 
+pytestmark = pytest.mark.study  # the tree takes 20 s to compile, and only searches of a billion residuals use it
+
 KINDS = [
     "normal",
     "counts",

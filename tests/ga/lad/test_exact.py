@@ -56,7 +56,7 @@ def recording(kind: str, n: int, p: int, rng: np.random.Generator) -> tuple[NDAr
 KINDS = ["normal", "outliers", "counts", "repeated rows", "collinear", "a zero column"]
 
 
-@settings(max_examples=120)
+@settings(max_examples=40)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
 def test_the_optimum_is_that_of_an_independent_solver(kind: str, n: int, p: int, seed: int) -> None:
     columns, torque = recording(kind, n, p, np.random.default_rng(seed))
@@ -219,7 +219,7 @@ def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
         assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
 
 
-@settings(max_examples=80)
+@settings(max_examples=40)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
 def test_with_signs_it_is_the_optimum_of_the_linear_programme_with_bounds(kind: str, n: int, p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

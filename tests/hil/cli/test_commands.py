@@ -150,10 +150,10 @@ def test_the_numbers_of_identify_do_not_depend_on_the_workers(hil: Hil, make_rec
 @pytest.mark.study
 def test_the_papers_preset_arrives_at_the_exact_optimum(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(noise=2e-4, kc=0.01775, bc=1.9e-4, samples=500)
-    words = ("--model", "linear", "--preset", "paper", "--generations", 50_000, "--trials", 2, "--json")
+    words = ("--model", "linear", "--preset", "paper", "--generations", 10_000, "--trials", 2, "--json")
     found = hil("identify", path, *words).json
     kc = found["parameters"]["Kc"]
-    assert found["evaluations"] == 2 * (10 + 50_000)
+    assert found["evaluations"] == 2 * (10 + 10_000)
     assert kc["optimiser_repeatability"]["trials_mean"] == pytest.approx(kc["value"], rel=0.01)
     assert kc["bounds"] == [0.5e-3, 0.2]
     assert found["fitness"]["optimiser_gap"] >= 0.0

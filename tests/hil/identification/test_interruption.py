@@ -158,10 +158,10 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
 def test_a_search_of_many_generations_says_first_how_long_it_will_take(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("hil.identification.fitting.forecast._LONG_SEARCH", 100_000)
+    monkeypatch.setattr("hil.identification.fitting.forecast._LONG_SEARCH", 5_000)
     words = ["identify", str(make_recording()), "--preset", "paper", "--trials", "1", "--workers", "1", "--json"]
-    run([*words, "--generations", "100000"])
+    run([*words, "--generations", "5000"])
     said = capfd.readouterr().err
-    assert re.search(r"searching with 100,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
-    run([*words, "--generations", "10000"])
+    assert re.search(r"searching with 5,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
+    run([*words, "--generations", "500"])
     assert "evaluations: about" not in capfd.readouterr().err
