@@ -101,10 +101,8 @@ def import_data(
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev; of deflection or motor position.")] = None,
     dtheta_dot_unit: Annotated[str | None, typer.Option(help="rad/s, deg/s, rev/s, rpm.")] = None,
     command_unit: Annotated[str | None, typer.Option(help="N*m, rad, A, V, ...: what was commanded.")] = None,
-    torque_code: Annotated[
-        str | None, typer.Option(metavar="CODE", help="Sign of raw numbers: wrap=65536 (16 bits), sign=1024 (a bit).")
-    ] = None,
-    dtheta_code: Annotated[str | None, typer.Option(metavar="CODE", help="The same for the angle.")] = None,
+    torque_code: Annotated[str | None, typer.Option(help="Raw numbers: wrap=65536 (16 bits), sign=1024.")] = None,
+    dtheta_code: Annotated[str | None, typer.Option(help="The same for the angle.")] = None,
     torque_scale: Annotated[float, typer.Option(help="Multiply the torque; -1 inverts its sign.")] = 1.0,
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
@@ -112,8 +110,7 @@ def import_data(
     topic: Annotated[str | None, typer.Option(help="A bag's or PlotJuggler's topic; a workbook's sheet.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[
-        list[str] | None,
-        typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100', 'state==run'; repeat for several."),
+        list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100'; any number.")
     ] = None,
     first: Annotated[str | None, typer.Option("--from", help="First time, as the file has it: 12.5, 12:30:00.")] = None,
     last: Annotated[str | None, typer.Option("--to", help="Last time.")] = None,
