@@ -109,9 +109,7 @@ def import_data(
     command_scale: Annotated[float, typer.Option(help="Multiply the set-point.")] = 1.0,
     topic: Annotated[str | None, typer.Option(help="A bag's or PlotJuggler's topic; a workbook's sheet.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
-    where: Annotated[
-        list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100'; any number.")
-    ] = None,
+    where: Annotated[list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100'.")] = None,
     first: Annotated[str | None, typer.Option("--from", help="First time, as the file has it: 12.5, 12:30:00.")] = None,
     last: Annotated[str | None, typer.Option("--to", help="Last time.")] = None,
     join: Annotated[Path | None, typer.Option(help="A second file of the run, such as the torque cell's.")] = None,
