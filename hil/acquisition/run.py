@@ -221,7 +221,8 @@ def _finish(writer: Writer, outcome: Outcome, *, force: bool) -> Path:
             writer.discard()
     except Exception as error:  # noqa: BLE001 - in any case the user must learn where the data is
         kept = writer.path if writer.path.exists() else None
-        hint = f"\nThe run itself is safe: hil recover {quoted(kept)} -o OTHER.h5" if _is_readable(writer.path) else ""
+        safe = f"\nThe run itself is safe: hil recover {quoted(writer.path)} -o OTHER.h5"
+        hint = safe if _is_readable(writer.path) else ""
         failure = WrongUse(f"{error}{hint}")
         failure.__cause__ = error
         if outcome.error is None:

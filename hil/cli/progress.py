@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from ga.first_run import announced_to
-from hil.cli.terminal import is_quiet, printable, say
+from hil.cli.terminal import is_quiet, say
+from hil.printable import printable
 
 Show = Callable[[str, float], None]
 _QUIET = 10.0  # s between two lines

@@ -56,8 +56,8 @@ def unit_of(title: str, dimension: str) -> str | None:
     bracketed = [unit for _, unit in _in_brackets(title)]
     plain = _BRACKETS.sub("", title).strip()
     stated = [unit for unit in bracketed if _is_of(dimension, unit)]
-    ends = next((found for _, *end in _at_the_end(plain) if (found := _dimensions(*end))), {})
-    for unit in bracketed if not stated else ():
+    ends = next((by_dimension for _, *end in _at_the_end(plain) if (by_dimension := _dimensions(*end))), {})
+    for unit in () if stated else bracketed:
         others = [one for one in units.SI if _counts(one, unit, "_")]
         if others:
             raise WrongUse(

@@ -181,9 +181,9 @@ def _with_signs(
     An encoder that passes a whole turn needs no code: identification removes such jumps.
     """
     found = dict(channels)
-    for channel, column in columns.items():
+    for name, column in columns.items():
         if column.code is not None:
-            found[channel] = signs.decoded(channels[channel], column.code)
+            found[name] = signs.decoded(channels[name], column.code)
     pair = [next((one for one in pair if one in columns), None) for pair in _PAIRS]
     if None in pair:
         return found

@@ -100,8 +100,8 @@ def read(
         except OtherStyle as other:
             return read(source, asked, wanted, filters, style=other.style)
         lost = damage.report(source, len(places), last, cut_off=file.cut_off)
-    numbers = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
-    return Read(numbers, np.array(places, dtype=np.int64), lost)
+    table = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
+    return Read(table, np.array(places, dtype=np.int64), lost)
 
 
 def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:

@@ -67,7 +67,8 @@ class Spectrum:
         of_white = _MEDIAN * weight  # the density of white noise of 1 rad
         rounding = least**2 * of_white
         floor = max(float(np.median(density[len(density) // 2 :])), rounding)
-        return cls(np.fft.rfftfreq(count, step)[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
+        frequency = np.asarray(np.fft.rfftfreq(count, step)[1:], np.float64)
+        return cls(frequency, density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
 
     @property
     def band(self) -> tuple[float, float]:

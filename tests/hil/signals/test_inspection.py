@@ -189,7 +189,7 @@ def test_at_one_frequency_an_inertia_is_no_wrong_sign(
 @pytest.mark.parametrize("pause", [5.0, 1.7e9], ids=["pause", "clock that is set"])
 def test_a_pause_changes_no_figure_but_its_own(tmp_path: Path, pause: float) -> None:
     rng, time = np.random.default_rng(0), np.arange(2000) / 500.0
-    dtheta = sum(0.1 * np.sin(2.0 * np.pi * f * time + f) for f in (0.7, 2.1, 5.3))
+    dtheta = np.sum([0.1 * np.sin(2.0 * np.pi * f * time + f) for f in (0.7, 2.1, 5.3)], axis=0)
     torque = 0.5 * dtheta + 0.03 * rng.standard_normal(len(time))
     seen = []
     for length in (0.0, pause):
