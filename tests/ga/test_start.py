@@ -81,7 +81,7 @@ def test_only_what_exceeds_the_limit_is_turned_down_unseen(made: Making, name: s
     start = started(columns, torque)
     engine, rng = collapse(columns, torque, start), np.random.default_rng(1)
     turned_down = 0
-    for size in np.repeat([1.0, 2.0, 5.0, 50.0], 50):
+    for size in np.repeat([1.0, 2.0, 5.0, 50.0], 15):
         genes = start.centre + start.backward @ (size * start.reach * rng.uniform(-1.0, 1.0, len(start.centre)))
         plain = float(np.mean(np.abs(torque - columns @ genes)))
         found = dense_error(engine, genes, 0.999 * plain)

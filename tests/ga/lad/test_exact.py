@@ -71,7 +71,7 @@ def test_the_optimum_is_that_of_an_independent_solver(kind: str, n: int, p: int,
 
 @pytest.mark.parametrize("kind", ["counts", "repeated rows"])
 def test_ties_never_cost_the_proof(kind: str) -> None:
-    for seed in range(300):
+    for seed in range(100):
         rng = np.random.default_rng(seed)
         columns, torque = recording(kind, int(rng.integers(1, 400)), int(rng.integers(1, 9)), rng)
         assert least_absolute_deviations(columns, torque).certificate <= 1e-12
@@ -161,7 +161,7 @@ def test_data_with_a_nan_are_refused() -> None:
         least_absolute_deviations(np.array([[np.nan], [1.0]]), np.ones(2))
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(
     rows=st.lists(st.tuples(st.integers(-5, 5), st.integers(-3, 3)), min_size=1, max_size=40),
     slack=st.floats(0.0, 0.99),
