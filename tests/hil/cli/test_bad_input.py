@@ -132,39 +132,37 @@ def test_a_demo_does_not_overwrite_the_report_of_an_earlier_one(hil: Hil) -> Non
 # --- what is wrong use is said to be that ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        (*SIM, "--seed", "-1"),
-        (*SIM, "--seed", 2**63),
-        (*SIM, "-o", "n" * 300 + ".h5"),
-        (*SIM, "-o", "n" * 251 + ".h5"),
-        (*SIM, "-o", "n" * 251 + ".h5", "--force"),
-        ("record", "--stand", "n" * 300),
-        ("inspect", "n" * 300),
-        ("identify", "n" * 300),
-        ("identify", "a.h5", "--seed", 2**63),
-        ("identify", "a.h5", "--report", "n" * 300 + ".html"),
-        ("recover", "n" * 300 + ".part"),
-        ("demo", "-o", "n" * 300),
-        ("import", "n" * 300, "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"),
-        ("import", "wide.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"),
-        (*SIM, "--profile", "file", "--setpoints", "wide.csv"),
-        (*SIM, "--profile", "file", "--setpoints", "set.csv", "--band", "0.1:15"),
-    ],
-    ids=lambda words: " ".join(str(word)[:12] for word in words),
-)
-def test_what_cannot_be_done_is_wrong_use_and_no_fault_of_hils(
-    hil: Hil, make_recording: Maker, words: tuple[object, ...]
-) -> None:
+IMPOSSIBLE: list[tuple[object, ...]] = [
+    (*SIM, "--seed", "-1"),
+    (*SIM, "--seed", 2**63),
+    (*SIM, "-o", "n" * 300 + ".h5"),
+    (*SIM, "-o", "n" * 251 + ".h5"),
+    (*SIM, "-o", "n" * 251 + ".h5", "--force"),
+    ("record", "--stand", "n" * 300),
+    ("inspect", "n" * 300),
+    ("identify", "n" * 300),
+    ("identify", "a.h5", "--seed", 2**63),
+    ("identify", "a.h5", "--report", "n" * 300 + ".html"),
+    ("recover", "n" * 300 + ".part"),
+    ("demo", "-o", "n" * 300),
+    ("import", "n" * 300, "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"),
+    ("import", "wide.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"),
+    (*SIM, "--profile", "file", "--setpoints", "wide.csv"),
+    (*SIM, "--profile", "file", "--setpoints", "set.csv", "--band", "0.1:15"),
+]
+
+
+def test_what_cannot_be_done_is_wrong_use_and_no_fault_of_hils(hil: Hil, make_recording: Maker) -> None:
     make_recording(samples=50)
     Path("set.csv").write_text("0,0\n1,0.004\n2,0\n")
     Path("wide.csv").write_text("t,q,p\n0,1," + "2" * 140_000 + "\n")
-    status, out, err = hil(*words)
-    assert (status, out) == (2, "")
-    assert "fault in hil" not in err
-    assert "Traceback" not in err
-    assert [path.name for path in Path().iterdir() if path.suffix not in {".h5", ".csv"}] == []
+    before = sorted(Path().iterdir())
+    for words in IMPOSSIBLE:
+        status, out, err = hil(*words)
+        assert (status, out) == (2, ""), words
+        assert "fault in hil" not in err, words
+        assert "Traceback" not in err, words
+        assert sorted(Path().iterdir()) == before, words
 
 
 def test_the_largest_seed_is_kept(hil: Hil) -> None:
@@ -179,7 +177,7 @@ def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -
     data = make_recording("a.h5", samples=64).read_bytes()
     generator = random.Random(1)  # noqa: S311 - no secret
     seen = set()
-    for count in (0, 1, 4, 8, 64):
+    for count in (0, 4, 64):
         damaged = bytearray(data)
         for _ in range(count):
             damaged[generator.randrange(len(data))] = generator.randrange(256)

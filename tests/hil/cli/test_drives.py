@@ -67,6 +67,7 @@ def emulated(*words: str) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
+@pytest.mark.study
 def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"
@@ -106,7 +107,7 @@ def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: 
         f"[limits]\ntorque = {0.03 * scale}\ndeflection = 1.5\nvelocity = 100.0\ntemperature = 75.0\n"
         f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
     )
-    words = ["--profile", "chirp", "--band", "0.5:5", "--duration", "2", "--fade", "0.5", "--rate", "50"]
+    words = ["--profile", "chirp", "--band", "1:5", "--duration", "1.2", "--fade", "0.3", "--rate", "50"]
     served = make(name, {"link": link})
     thread = threading.Thread(target=served.serve)
     thread.start()
@@ -137,7 +138,7 @@ def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
 def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"
-    words = ["--profile", "sine", "--band", "1", "--duration", "1.5", "--fade", "0.25", "--rate", "50"]
+    words = ["--profile", "sine", "--band", "2", "--duration", "0.75", "--fade", "0.125", "--rate", "50"]
     with serve(tmp_path / "ttyDXL", "xl330-m288"):
         words += ["--mode", "position", "--amplitude", "0.3", "-o", str(recording)]
         assert run(["record", "--stand", str(stand), *words]) == 0
@@ -245,7 +246,7 @@ def test_a_run_in_real_time_ends_with_the_lateness_of_its_set_points(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, busy_machine: None
 ) -> None:
     del busy_machine
-    words = ["record", "--backend", "sim", "--duration", "0.6", "--rate", "100", "--fade", "0.1", "-o"]
+    words = ["record", "--backend", "sim", "--duration", "0.3", "--rate", "100", "--fade", "0.1", "-o"]
     assert run([*words, str(tmp_path / "a.h5"), "--realtime"]) == 0
     said = capfd.readouterr().out.splitlines()[-1]
     assert re.fullmatch(r"set-points late by .*s \(median\), .*s \(99 %\), .*s at most; \d+ ticks missed", said)

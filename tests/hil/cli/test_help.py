@@ -62,13 +62,15 @@ def test_the_version_is_that_of_the_package(hil: Hil) -> None:
 
 def test_quiet_prints_the_answer_alone_wherever_it_stands(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(noise=1e-4, samples=500)
-    plain = hil("identify", path, "--model", "linear", "--trials", 1)
-    for words in (("--quiet", "identify", path), ("identify", path, "--quiet", "--report", "r.html")):
-        quiet = hil(*words, "--model", "linear", "--trials", 1)
-        assert quiet.out.splitlines() == plain.out.splitlines()[:1]
+    settings = ("--model", "linear", "--trials", 1)
+    before = hil("--quiet", "identify", path, *settings)
+    after = hil("identify", path, "--quiet", "--report", "r.html", *settings)
+    plain = hil("identify", path, *settings).out.splitlines()  # as if nothing had been quiet
+    assert len(plain) == 4
+    for quiet in (before, after):
+        assert quiet.out.splitlines() == plain[:1]
         assert quiet.err == ""
     assert Path("r.html").exists()
-    assert len(hil("identify", path, "--model", "linear", "--trials", 1).out.splitlines()) == 4
 
 
 def test_quiet_keeps_the_errors(hil: Hil, make_recording: Maker) -> None:
