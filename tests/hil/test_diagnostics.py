@@ -59,7 +59,13 @@ def test_a_message_about_a_recording_names_no_option_of_hil_record_but_by_again(
 
 
 @pytest.mark.parametrize(
-    ("kind", "model"), [("imported", "linear"), ("sine", "linear+coulomb"), ("imported", "auto"), ("sine", "auto")]
+    ("kind", "model"),
+    [
+        ("imported", "auto"),
+        ("sine", "linear+coulomb"),
+        pytest.param("imported", "linear", marks=pytest.mark.study),
+        pytest.param("sine", "auto", marks=pytest.mark.study),
+    ],
 )
 def test_advice_about_a_slow_sine_is_in_words_and_names_options_where_there_are_any(
     tmp_path: Path, kind: str, model: str

@@ -133,17 +133,17 @@ def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_sto
         """From 30 degC towards 33.4 with a time constant of 150 s in steps of a sensor, which stops at `until` s."""
 
         def change(tick: int, sample: Sample, joint: AtJoint) -> Reading:
-            t = min(tick / 40.0, until)
+            t = min(tick / 20.0, until)
             value = 30.0 + 3.4 * (1.0 - math.exp(-t / 150.0)) + 0.005 * math.sin(4.0 * math.pi * t)  # within a cycle
             return replace(sample, temperature=steps * math.floor(value / steps)), joint
 
         return change
 
-    assert ended(warming(math.inf, 1.0), size=0.9, seconds=2000.0, rate=40.0) is None
-    end = ended(warming(60.0, 0.1), size=0.9, seconds=900.0, rate=40.0)
+    assert ended(warming(math.inf, 1.0), size=0.9, seconds=2000.0, rate=20.0) is None
+    end = ended(warming(60.0, 0.1), size=0.9, seconds=900.0, rate=20.0)
     assert end is not None
     assert "sensor is frozen" in str(end[1])
-    assert 360.0 < end[0] / 40.0 < 760.0
+    assert 360.0 < end[0] / 20.0 < 760.0
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ def test_a_kill_at_any_instant_costs_at_most_twenty_milliseconds_of_rows(
         return exchange(command)
 
     spring.exchange = counted  # type: ignore[method-assign]  # watched
-    run(STAND, profile(1.0), rate=rate, seed=0, output=tmp_path / "a.h5")
+    run(STAND, profile(0.5), rate=rate, seed=0, output=tmp_path / "a.h5")
     assert max(lost) / rate <= 0.02
 
 

@@ -32,12 +32,12 @@ PLAN = """
 [campaign]
 output = "out"
 model = "linear+offset"
-trials = 2
+trials = 1
 repeats = 2
 [[profile]]
 name = "short"
 band = [0.5, 8.0]
-duration = 2.0
+duration = 1.0
 fade = 0.2
 [[joint]]
 name = "soft"
@@ -60,7 +60,7 @@ def plan(tmp_path: Path) -> Path:
 def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats_what_is_done(
     hil: Hil, plan: Path, tmp_path: Path
 ) -> None:
-    found = hil("campaign", plan, "--json").json
+    found = hil("campaign", plan, "--json", "--workers", 1).json
     assert [line["joint"] for line in found["joints"]] == ["soft", "stiff"]
     soft, stiff = (line["parameters"]["Kc"]["value"] for line in found["joints"])
     assert soft == pytest.approx(0.015, rel=0.05)
@@ -72,7 +72,7 @@ def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats
     before = {path: path.stat().st_mtime_ns for path in recordings}
     assert len(recordings) == 4
     recordings[0].unlink()  # one is missing: only this one is recorded again
-    again = hil("campaign", plan, "--json")
+    again = hil("campaign", plan, "--json", "--workers", 1)
     after = {path: path.stat().st_mtime_ns for path in recordings}
     assert [path for path in recordings if after[path] != before[path]] == recordings[:1]
     assert again.json["joints"][1] == found["joints"][1]
@@ -180,7 +180,7 @@ def test_a_dry_run_shows_what_would_be_recorded_and_makes_nothing(hil: Hil, plan
     ("change", "line", "message"),
     [
         (("repeats = 2", "repeat = 2"), 6, "campaign.repeat: no such key: did you mean 'repeats'?"),
-        (("duration = 2.0", "duration = -2.0"), 10, "profile.duration = -2.0: must be above 0"),
+        (("duration = 1.0", "duration = -2.0"), 10, "profile.duration = -2.0: must be above 0"),
         (('name = "stiff"', 'nam = "stiff"'), 17, "joint.nam: no such key: did you mean 'name'?"),
         (('name = "stiff"', 'name = "a/b"'), 17, "joint.name = 'a/b': must be letters"),
     ],

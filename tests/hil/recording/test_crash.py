@@ -68,7 +68,7 @@ def killing(monkeypatch: pytest.MonkeyPatch, at: int, *, after: bool) -> None:
         monkeypatch.setattr(writer_module, name, fatal(getattr(writer_module, name)))
 
 
-@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("after", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_a_kill_at_any_call_of_the_start_leaves_a_whole_part_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, after: bool
 ) -> None:

@@ -13,7 +13,7 @@ from hil.signals.rate.savitzky_golay import DEGREE, gain, kernel, local_polynomi
 Array = NDArray[np.float64]
 
 
-@settings(deadline=None)  # the first call compiles
+@settings(max_examples=20)
 @given(st.integers(6, 30), st.integers(0, 2**32 - 1))
 def test_it_gives_back_any_polynomial_of_its_degree_on_any_stamps(half: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -53,29 +53,26 @@ def test_the_window_is_the_widest_within_the_tolerance(order: int) -> None:
     assert widest(order, 15.0 / 500.0, most=6, tolerance=3e-4) == 6
 
 
-def by_least_squares(time: Array, values: Array, half: int, order: int) -> Array:
-    """The definition: a polynomial fitted to each window on its own."""
+def by_least_squares(time: Array, values: Array, half: int) -> Array:
+    """Value, slope and curvature (3, n) by the definition: a polynomial fitted to each window on its own."""
     found, width = [], 2 * half + 1
     for at in range(len(time)):
         start = min(max(at - half, 0), len(time) - width)
         window = slice(start, start + width)
         fit = np.polynomial.Chebyshev.fit(time[window], values[window] - values[at], DEGREE)
-        found.append(fit.deriv(order)(time[at]) + (values[at] if order == 0 else 0.0))
-    return np.array(found)
+        found.append([fit(time[at]) + values[at], *(fit.deriv(order)(time[at]) for order in (1, 2))])
+    return np.array(found).T
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.5], ids=["even stamps", "nearly even", "uneven"])
 @pytest.mark.parametrize("half", [4, 9, 40])
-@pytest.mark.parametrize("order", [0, 1, 2])
-def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(
-    half: int, order: int, jitter: float
-) -> None:
+def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(half: int, jitter: float) -> None:
     rng = np.random.default_rng(half)
     time = (np.arange(300) + rng.uniform(0.0, jitter, 300)) / 500.0
     values = 6.0 + np.sin(40.0 * time) + 1e-3 * rng.standard_normal(300)
-    expected = by_least_squares(time, values, half, order)
-    found = local_polynomial(time, values, half, order)
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-12 * np.abs(expected).max())
+    for order, expected in enumerate(by_least_squares(time, values, half)):
+        found = local_polynomial(time, values, half, order)
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=3e-12 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("gap", [1.0, 100.0])

@@ -17,7 +17,7 @@ from hil.signals.torque_reading import seen_in_torque
 
 STEP = 2e-3
 FINE = 10  # points a sample
-TIME = np.arange(100_000) * STEP / FINE
+TIME = np.arange(60_000) * STEP / FINE
 LONGEST = 0.02
 
 Reading = Callable[[Array, np.random.Generator], Array]
