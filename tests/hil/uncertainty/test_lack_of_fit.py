@@ -13,7 +13,7 @@ from hil.uncertainty.misfit import LackOfFit
 Array = NDArray[np.float64]
 
 KC, BC, NOISE = 0.3, 3e-3, 1e-3
-TIME = np.arange(5000) / 500.0
+TIME = np.arange(8000) / 500.0
 
 
 def moved() -> tuple[Array, Array, Array]:
@@ -339,7 +339,7 @@ def test_a_gap_of_any_width_is_one(half: float, middle: float) -> None:
 def test_an_effect_is_no_suspect_where_one_of_all_explains_as_much_by_chance() -> None:
     """With a hundredth for each of them, one did in four of these. On the default stand that took a quarter off Bc."""
     unknown = 4e-5 * np.interp(TIME - 0.2, TIME, V)  # like no effect that is known
-    found = [judged(PLAIN + unknown + noise(seed)) for seed in range(6)]
+    found = [judged(PLAIN + unknown + noise(seed)) for seed in range(12)]
     assert all(one.failed for one in found)
     assert sum(bool(one.suspects) for one in found) <= 1
 
@@ -397,5 +397,5 @@ def test_a_fit_to_no_more_samples_than_it_has_parameters_is_not_judged(described
 
 
 def test_arrays_of_unequal_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="5000 samples, 10 residuals"):
+    with pytest.raises(ValueError, match="8000 samples, 10 residuals"):
         lack_of_fit(Recorded(TIME, PLAIN, X, V), Fitted(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
