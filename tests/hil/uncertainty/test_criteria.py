@@ -20,7 +20,7 @@ from hil.identification.identify import identify
 from hil.stand.file import SIMULATED, parse
 from hil.uncertainty.criteria import friction_likeness
 
-RATE, DURATION = 250.0, 10.0
+RATE, DURATION = 250.0, 6.0
 SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})
 
 

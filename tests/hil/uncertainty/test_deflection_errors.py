@@ -245,7 +245,7 @@ def test_transitions_that_are_rounded_alike_each_time_widen_the_interval_of_bc()
     """Where the counts lie decides: from one place of them to another Bc differs, whatever the noise."""
     count = 2.0 * np.pi / 2**11
     angle, rate = binary(np.arange(10_000) / 500.0, 0.06)
-    fits = [rounded(angle + place, rate, count, 1e-5) for place in count * np.random.default_rng(3).random(16)]
+    fits = [rounded(angle + place, rate, count, 1e-5) for place in count * np.random.default_rng(3).random(10)]
     scatter = 1.96 * float(np.std([one.genes[1] for one in fits]))
     stated = float(np.median([deflection_errors(one).half_width[1] for one in fits]))
     assert 0.5 * scatter < stated < 2.0 * scatter
