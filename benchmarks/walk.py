@@ -81,7 +81,7 @@ WRITTEN = frozenset({"--output", "-o", "--report", "--plot", "--log", "--rerun"}
 READ = frozenset({"--stand", "--setpoints", "--faults", "--fixture", "--checkpoint", "--points", "--recording"})
 HEAVY = {"replicate": ["--evaluations", "200", "--trials", "1"], "identify": ["--workers", "1"]}
 ON_A_FILE = (
-    "inspect FILE", "inspect FILE --verify --json", "inspect FILE --plot new.png", "identify FILE --workers 1",
+    "inspect FILE", "inspect FILE --verify --json", "inspect FILE --plot new", "identify FILE --workers 1",
     "identify FILE --model linear --report new.html --workers 1", "identify good.h5 FILE --workers 1 --json",
     "identify good.h5 --fixture FILE --workers 1", "identify good.h5 --checkpoint FILE --workers 1",
     "identify --each FILE good.h5 --model linear --workers 1", "compare good.h5 FILE --workers 1",
@@ -167,7 +167,7 @@ def warm(home: Path) -> None:
     stderr, sys.stderr = sys.stderr, sys.stdout
     try:
         run(["identify", "good.h5", "--workers", "1", "--report", "warm.html"])
-        run(["inspect", "good.h5", "--plot", "warm.png"])
+        run(["inspect", "good.h5", "--plot", "warm"])
         run(["design", "--backend", "sim", "--duration", "1", "--model", "linear"])
     finally:
         sys.stdout, sys.stderr = stdout, stderr

@@ -56,7 +56,7 @@ def serial_problem(port: Path, sys: Path = _SYS) -> str:
         if not real.exists():
             return f"{port} does not exist: check the cable and the name"
         if not os.access(real, os.R_OK | os.W_OK):
-            return f"no permission to read and write {port}: sudo usermod -aG {_group(real)} $USER, then log in again"
+            return f"no permission to read and write {port}: {_permission(real)}"
     latency = latency_timer(real.name, sys)
     if latency is not None and latency > _LATENCY:
         return (
@@ -130,8 +130,12 @@ def _ask_ip(name: str) -> Mapping[str, Any]:
     return link
 
 
-def _group(path: Path) -> str:
+def _permission(port: Path) -> str:
+    """Return how this user gets to use `port`: by joining its group, unless that is root's, or has no access either."""
     try:
-        return path.group()
+        group, mode = port.group(), port.stat().st_mode
     except (KeyError, OSError, NotImplementedError):
-        return "dialout"
+        group, mode = "dialout", 0o660
+    if group in {"root", "wheel"} or mode & 0o060 != 0o060:
+        return f"its group ({group}) gives nobody access, so until it is plugged in again: sudo chmod a+rw {port}"
+    return f"sudo usermod -aG {group} $USER, then log in again"

@@ -1,5 +1,5 @@
 """The entry point of `python -m hil`."""
 
-from hil.cli.app import main
+from hil.cli import main
 
 main()

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
+_DECIMAL_COMMA: Final = re.compile(r"(?<![\w.,])([-+]?\d+),(\d+)(?![\d.,])")
 _LISTED: Final = re.compile(r"'([^']*)' is not (?:known: choose )?one of (.+)$")
 
 
@@ -36,6 +37,12 @@ def meant(name: str, known: Iterable[str]) -> str:
     names = {one.casefold(): one for one in known}
     near = get_close_matches(name.casefold(), names, n=1)
     return f"did you mean {names[near[0]]!r}? " if near else ""
+
+
+def decimal_comma(text: str) -> str:
+    """Return " has a decimal comma: write 0.5" for a text such as "0,5", and "" for a text without a decimal comma."""
+    found = _DECIMAL_COMMA.search(text)
+    return "" if found is None else f" has a decimal comma: write {found[1]}.{found[2]}"
 
 
 def proposing(message: str) -> str:

@@ -16,7 +16,7 @@ from itertools import islice, product
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from hil.errors import WrongUse, unknown
+from hil.errors import WrongUse, decimal_comma, unknown
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -196,6 +196,8 @@ def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
 
     dimensions: those allowed. Raises WrongUse for any other text.
     """
+    if comma := decimal_comma(text):
+        raise WrongUse(f"{text!r}{comma}")
     found = _QUANTITY.fullmatch(text)
     if found is None:
         raise WrongUse(f"{text!r} is not a number, nor a number with a unit such as {_example(dimensions)}")

@@ -25,11 +25,13 @@ from hil.printable import quoted
 from hil.recording.background import BackgroundWriter
 from hil.recording.output import (
     NameTaken,
+    check_folder,
     check_output,
     check_recording_name,
     check_unfinished,
     next_free,
     part_path,
+    recording_path,
     remove_unfinished,
 )
 from hil.recording.reader import Recording
@@ -78,7 +80,7 @@ def run(
     before anything moves. Raises WrongUse before anything moves, DriverError if the servo cannot be opened.
     """
     host = FaultyHost()
-    _check(stand, output, rerun, force=force)
+    output = _checked(stand, output, rerun, force=force)
     if faults is not None and "disk-frozen" in faults.kinds() and not realtime:
         raise WrongUse("disk-frozen: this fault has no effect in virtual time: add --realtime")
     with StopRequest().listening() as stop:
@@ -135,18 +137,23 @@ def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[
     return stand
 
 
-def _check(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> None:
-    """Raise WrongUse for an unknown backend, and for an output file that cannot be written."""
+def _checked(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> Path | None:
+    """Return the recording's path, None if it has no name yet. Raises WrongUse for an unknown backend, and for an
+    output that cannot be written.
+    """
     check_backend(stand.stand.backend)
     if rerun:
         check_rerun(rerun, force=force)
-    if output is not None:
-        inputs = stand.named_files()
-        check_output(output, force=force, inputs=inputs)
-        check_recording_name(output)
-        check_output(part_path(output), force=True, inputs=inputs)
-        if not force:
-            check_unfinished(output)
+    if output is None:
+        check_folder(_FOLDER)
+        return None
+    inputs, output = stand.named_files(), recording_path(output)
+    check_output(output, force=force, inputs=inputs)
+    check_recording_name(output)
+    check_output(part_path(output), force=True, inputs=inputs)
+    if not force:
+        check_unfinished(output)
+    return output
 
 
 def _raise_alarm(writer: Writer, outcome: Outcome, alarm: Callable[[str], object] | None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hil.calibration.torque import GRAVITY
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 from hil.exchange.headings import bracketed_text, unit_of
 from hil.recording.input import read_text
 from hil.units import factor, quantity
@@ -90,5 +90,5 @@ def _number(path: Path, line: int, row: list[str], place: int) -> float:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise WrongUse(f"{path}, row {line}: {said!r} is no number")
+        raise WrongUse(f"{path}, row {line}: {said!r}{decimal_comma(said) or ' is no number'}")
     return number

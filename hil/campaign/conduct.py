@@ -17,7 +17,7 @@ from hil.api.runs import record, simulate
 from hil.campaign.journal import Journal, keep_result, kept_result, note
 from hil.campaign.plan import Plan, Run
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.output import writing
+from hil.recording.output import check_folder, writing
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +50,7 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
     if the torque of a drive may still be on, and then nothing else is recorded.
     """
     due = [run for run in plan.runs if not journal.is_done(run)]
+    check_folder(plan.folder)
     with writing(plan.folder):
         plan.folder.mkdir(parents=True, exist_ok=True)
     for at, run in enumerate(due):

@@ -54,8 +54,10 @@ def torque(
     from hil.api.calibration import read_loads, store_step, store_torque
     from hil.calibration.points import read_points
     from hil.calibration.session import opened_cell
+    from hil.recording.output import check_output
     from hil.stand.file import load
 
+    check_output(stand, force=True)  # before the weights are hung
     opened = load(stand)
     clock = MonotonicClock()
     if step:
@@ -107,7 +109,9 @@ def fixture(
     from hil.api import runs
     from hil.api.calibration import store_fixture
     from hil.cli.progress import progress
+    from hil.recording.output import check_output
 
+    check_output(stand, force=True)
     if recording is None:
         _wait("put a stiff link in the place of the joint; the motor will push against it", yes=yes)
         run = runs.record(
@@ -140,7 +144,9 @@ def fixture(
 def zero(stand: StandPath, yes: Yes = False) -> None:
     """Store the motor's angle at rest as the stand's zero. The torque is off; nothing is driven."""
     from hil.api.calibration import store_zero
+    from hil.recording.output import check_output
 
+    check_output(stand, force=True)
     found = store_zero(stand, lambda what: _wait(what, yes=yes))
     out(f"zero = {found.value:.6g} +- {1.96 * found.uncertainty:.2g} rad at the motor (95 %)")
     say(f"stored as stand.zero and [calibration.zero] in {stand}")

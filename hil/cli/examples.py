@@ -71,6 +71,17 @@ def below_main_help() -> str:
 class Command(TyperCommand):
     """A typer command whose help shows <path> instead of Python's types, such as <list[Path]>."""
 
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, the options, and each group of options that few need under a heading of its own."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            if (shown := param.get_help_record(ctx)) is not None:
+                usual = "Arguments" if param.param_type_name == "argument" else "Options"
+                groups.setdefault(getattr(param, "rich_help_panel", None) or usual, []).append(shown)
+        for heading in sorted(groups, key=lambda name: name not in {"Arguments", "Options"}):
+            with formatter.section(heading):
+                formatter.write_dl(groups[heading])
+
     def get_help(self, ctx: Any) -> str:
         """Return the help. ctx: typer's context."""
         return re.sub(r"<list\[(\w+)\]>", lambda found: f"<{found[1].lower()}>", super().get_help(ctx))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
-    plot: Annotated[Path | None, typer.Option(help="Also draw the recording into this file (PNG).")] = None,
+    plot: options.Plot = None,
     force: options.Force = False,
     as_json: options.Json = False,
     verify: Annotated[bool, typer.Option("--verify", help="Only check that the file is as it was written.")] = False,
@@ -29,16 +29,18 @@ def inspect(
     from hil.recording.output import check_output
     from hil.report.inspection import as_json as to_json
     from hil.report.inspection import inspection_table
-    from hil.report.pictures.files import check_picture_name, save_picture
+    from hil.report.pictures.files import make_picture_folder, save_picture
     from hil.signals.inspection import inspect as look
 
     if verify:
         _verify(recording, as_json=as_json)
         return
     if plot is not None:
-        check_output(check_picture_name(plot), force=force, inputs=[recording])
-        save_picture(load(recording).plot(), plot, force=force)
-        note(f"wrote {plot}")
+        drawn = plot / f"{recording.stem}.png"
+        make_picture_folder(plot)
+        check_output(drawn, force=force)
+        save_picture(load(recording).plot(), drawn, force=force)
+        note(f"wrote {drawn}")
     with progress() as show:
         seen = look(recording, show)
     if as_json:
@@ -122,10 +124,11 @@ def import_data(
     from hil.exchange.importer import import_table
     from hil.exchange.row_filter import RowFilter
     from hil.exchange.wanted.join import Join
-    from hil.recording.output import check_output, check_recording_name, check_unfinished
+    from hil.recording.output import check_output, check_recording_name, check_unfinished, recording_path
     from hil.stand.file import load
 
-    check_output(output, force=force, inputs=[one for one in (source, stand, join) if one is not None])
+    inputs = [one for one in (source, stand, join) if one is not None]
+    check_output(output := recording_path(output), force=force, inputs=inputs)
     check_unfinished(check_recording_name(output))
     done = import_table(
         source,
@@ -224,12 +227,12 @@ def recover(
 ) -> None:
     """Turn an unfinished .part file into a recording; the .part file is kept."""
     from hil.recording.final import finalise
-    from hil.recording.output import check_ended, check_output, check_recording_name
+    from hil.recording.output import check_ended, check_output, check_recording_name, recording_path
     from hil.recording.rescue import place_for
 
     if output is None and part.suffix != ".part":
         raise WrongUse(f"{part} does not end in .part: name the output with -o")
-    target = output or place_for(part.with_suffix(""))
+    target = recording_path(output or place_for(part.with_suffix("")))
     check_output(target, force=force, inputs=[part])
     check_recording_name(target)
     check_ended(part)

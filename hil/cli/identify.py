@@ -24,7 +24,7 @@ from hil.cli.terminal import (
     print_json,
     say,
 )
-from hil.errors import WrongUse, unknown
+from hil.errors import WrongUse, decimal_comma, unknown
 from hil.report.expected import Expected, expectation, missed
 from hil.units import SI
 
@@ -53,16 +53,14 @@ def identify(
             "FILE.py:NAME [default: auto; linear with --preset paper, --bounds, --checkpoint or --fixture]."
         ),
     ] = None,
-    preset: Annotated[str, typer.Option(help="default, or paper: the genetic algorithm as printed.")] = "default",
+    preset: Annotated[str, options.searched("default, or paper: the genetic algorithm as printed.")] = "default",
+    generations: Annotated[int | None, options.searched("In each trial [default: the preset's].", least=1)] = None,
+    population: Annotated[int | None, options.searched("Chromosomes [default: the preset's].", least=3)] = None,
+    mutation: Annotated[float | None, options.searched("Probability (0.1: Algorithm 1).", least=0, most=1)] = None,
+    selection: Annotated[str | None, options.searched("How parents are selected; see docs/paper.md.")] = None,
+    weights: Annotated[str | None, options.searched("Those of equation 6; see docs/paper.md.")] = None,
+    replacement: Annotated[str | None, options.searched("Which individual is replaced; see docs/paper.md.")] = None,
     trials: options.Trials = None,
-    generations: Annotated[int | None, typer.Option(min=1, help="In each trial [default: the preset's].")] = None,
-    population: Annotated[
-        int | None, typer.Option(min=3, help="Number of chromosomes [default: the preset's].")
-    ] = None,
-    mutation: Annotated[float | None, typer.Option(min=0.0, max=1.0, help="Probability (0.1: Algorithm 1).")] = None,
-    selection: Annotated[str | None, typer.Option(help="How parents are selected; see docs/paper.md.")] = None,
-    weights: Annotated[str | None, typer.Option(help="Those of equation 6; see docs/paper.md.")] = None,
-    replacement: Annotated[str | None, typer.Option(help="Which individual is replaced; see docs/paper.md.")] = None,
     bounds: options.Bounds = None,
     seed: options.Seed = options.DEFAULT_SEED,
     workers: options.Workers = options.ALL_CORES,
@@ -72,7 +70,7 @@ def identify(
     checkpoint: options.Checkpoint = None,
     fixture: options.Fixture = None,
     report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Also write its pictures (PNG) into this folder.")] = None,
+    plot: options.Plot = None,
     force: options.Force = False,
     require: Annotated[str, typer.Option(help="Kc, Bc or both: what must be trusted for exit status 0.")] = "both",
     expect: Expect = None,
@@ -82,7 +80,6 @@ def identify(
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
     from hil.first_run import compiled_ahead
-    from hil.report.pictures.canvas import check_matplotlib
 
     del list_models  # is done before anything else is asked for
     required, expected = _required(require), [expectation(text) for text in expect or ()]
@@ -95,8 +92,7 @@ def identify(
         identify_each(recordings, model, common, required, as_json=as_json)
         return
     options.check_report(report, recordings, force=force)
-    if plot is not None:
-        check_matplotlib()
+    _check_others(checkpoint, plot, recordings)
     with compiled_ahead():  # before what takes most of the start: the modules of the identification
         from hil.api.analysis import identify as identify_recordings
 
@@ -104,6 +100,19 @@ def identify(
             found = identify_recordings(recordings, model, progress=show, **(common | alone))
     publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
     _end(found, checkpoint, required, expected)
+
+
+def _check_others(checkpoint: Path | None, plot: Path | None, inputs: list[Path]) -> None:
+    """Raise WrongUse if the checkpoint or the folder of pictures cannot be written."""
+    from hil.recording.output import check_output
+    from hil.report.pictures.canvas import check_matplotlib
+    from hil.report.pictures.files import make_picture_folder
+
+    if checkpoint is not None:
+        check_output(checkpoint, force=True, inputs=inputs)
+    if plot is not None:
+        check_matplotlib()
+        make_picture_folder(plot)
 
 
 def _end(
@@ -207,6 +216,6 @@ def _bounds(text: str) -> tuple[str, tuple[float, float]]:
     try:
         low, high = options.span_of(span, *dimensions)
     except WrongUse:
-        example = "such as Kc=0.01:5, or with a unit as in Kc=10:30mN*m/rad"
-        raise WrongUse(f"--bounds {text!r}: write NAME=LOW:HIGH in SI, {example}") from None
+        example = ": write NAME=LOW:HIGH in SI, such as Kc=0.01:5, or with a unit as in Kc=10:30mN*m/rad"
+        raise WrongUse(f"--bounds {text!r}{decimal_comma(text) or example}") from None
     return name.strip(), (low, high)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from drivers.servo import Quantity
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 from hil.units import quantity
 
 DEFAULT_SEED = 0
@@ -36,6 +36,14 @@ def measured(option: str, dimension: str, text: str) -> Any:
             raise WrongUse(f"{option} {error}") from None
 
     return typer.Option(option, parser=parsed, metavar="NUMBER", help=text)
+
+
+def searched(text: str, *, least: float | None = None, most: float | None = None) -> Any:
+    """Return the definition of an option of the paper's genetic algorithm, which few need: the help shows them apart.
+
+    text: the help. least, most: the range of a number.
+    """
+    return typer.Option(min=least, max=most, help=text, rich_help_panel="The paper's genetic algorithm")
 
 
 Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand file: sim, or replay FILE.")]
@@ -88,6 +96,7 @@ NoGuardian = Annotated[
 Rerun = Annotated[
     str, typer.Option(metavar="PLACE", help="Stream the run to Rerun: window, or a file .rrd (hil[view]).")
 ]
+Plot = Annotated[Path | None, typer.Option(help="Also draw pictures (PNG) into this folder.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 
@@ -167,7 +176,8 @@ def band_of(text: str | None) -> tuple[float, float] | None:
     try:
         parts = span_of(text, "frequency") if ":" in text else 2 * [quantity(text, "frequency")[0]]
     except WrongUse:
-        raise WrongUse(f"--band {text!r}: write LOW:HIGH in Hz, such as 0.1:15, or one frequency") from None
+        remedy = decimal_comma(text) or ": write LOW:HIGH in Hz, such as 0.1:15, or one frequency"
+        raise WrongUse(f"--band {text!r}{remedy}") from None
     return parts[0], parts[1]
 
 

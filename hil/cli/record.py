@@ -48,7 +48,6 @@ def record(
 ) -> None:
     """Drive the motor against the locked joint and record torque, deflection and rate."""
     from hil.api import runs
-    from hil.recording.output import check_output
 
     if list_profiles or list_backends:
         _list_kinds(profiles=list_profiles)
@@ -57,7 +56,7 @@ def record(
     if recording and duration is None:
         duration = _length(recording, rate)
     if output is not None:
-        check_output(output, force=force, inputs=[path for path in (stand, setpoints, faults) if path is not None])
+        _check_name(output, [stand, setpoints, faults], force=force)
     run = runs.record(
         chosen,
         profile,
@@ -84,6 +83,12 @@ def record(
     _end(run)
 
 
+def _check_name(output: Path, inputs: list[Path | None], *, force: bool) -> None:
+    from hil.recording.output import check_output, recording_path
+
+    check_output(recording_path(output), force=force, inputs=[path for path in inputs if path is not None])
+
+
 def _end(run: Run) -> None:
     """End the command with the exit status that follows from the run."""
     if run.outcome.signal:
@@ -95,6 +100,8 @@ def _end(run: Run) -> None:
 def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand:
     from hil.stand.replay import replayed
 
+    if recording.suffix == ".toml" and stand is None:
+        raise WrongUse(f"{recording} looks like a stand file: hil record --stand {recording}")
     if backend != "replay" or stand is not None:
         raise WrongUse(f"{recording}: a recording is played back with --backend replay, without --stand")
     return replayed(recording)

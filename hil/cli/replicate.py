@@ -26,9 +26,11 @@ def replicate(
     Ctrl-C saves the search to the output folder (or to --checkpoint); the same command resumes it.
     """
     from hil.identification.replicate import replicate as run_replication
+    from hil.recording.output import check_folder
     from hil.report.replication import as_json as to_json
     from hil.report.replication import replication_lines, write_page
 
+    check_folder(output)
     saved = checkpoint or output / f"search-{trials}x{evaluations}-seed{seed}.npz"
     with progress() as show:
         done = run_replication(

@@ -39,6 +39,8 @@ def check_link(checks: CheckList, servo: Servo, rate: float, stop: StopRequest) 
         median, p99 = (float(value) for value in np.quantile(trips, (0.5, 0.99)))
         checks.bus = LinkFigures(len(samples), lost, len(samples) / seconds, median, p99, max(trips))
         _check_figures(checks, checks.bus, rate)
+    elif stop.count:
+        checks.add("bus", Verdict.SKIPPED, "interrupted before the drive answered")
     else:
         checks.failed("bus", f"{lost} requests, no reply: check power and cable")
     return samples

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 from hil.exchange.readers.columns import seconds
 
 _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] = MappingProxyType(
@@ -59,6 +59,8 @@ class RowFilter:
         column, comparison, value = match.groups()
         with suppress(ValueError):
             return cls(column, comparison, float(value))
+        if comma := decimal_comma(value):
+            raise WrongUse(f"--where {text!r}{comma}")
         if (found := seconds(value)) is not None:
             return cls(column, comparison, found, 0.0 <= found < _DAY, value)
         if comparison not in {"==", "!="}:

@@ -31,7 +31,7 @@ def open_input(path: Path, *, largest: int) -> BufferedReader:
     try:
         file = open_binary(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except (OSError, ValueError) as error:
-        raise WrongUse(f"{path} cannot be read ({getattr(error, 'strerror', error)}): check the name") from None
+        raise WrongUse(f"{path} cannot be read ({getattr(error, 'strerror', error)}): {missing(path)}") from None
     try:
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode):
@@ -46,6 +46,15 @@ def open_input(path: Path, *, largest: int) -> BufferedReader:
     except BaseException:
         os.close(file)
         raise
+
+
+def missing(path: Path) -> str:
+    """Return what to do about a file that cannot be opened: if a run left its `.part` there, how to read that."""
+    part = path.with_name(path.name + ".part") if path.name else path
+    with suppress(OSError, ValueError):
+        if part.is_file() and not path.exists():
+            return f"{part} holds the rows of a run that has not ended; finish it with `hil recover {part}`, or read it"
+    return "check the name"
 
 
 def read_text(path: Path, *, largest: int) -> str:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.ahead import Progress
 from hil.recording.channels import CHANNELS, END_MARK, LATER, ROW, Row, Rows
+from hil.recording.input import missing
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
 """The layout of a row in a recording in progress: the bytes of ROW and their CRC-32."""
@@ -180,7 +181,7 @@ def check_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except OSError as error:
-        raise WrongUse(f"{path} cannot be opened ({error.strerror}): check the name") from None
+        raise WrongUse(f"{path} cannot be opened ({error.strerror}): {missing(path)}") from None
     if not stat.S_ISREG(mode):
         raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
 
@@ -196,6 +197,8 @@ def open_file(path: Path) -> h5py.File:
             hint = (
                 "it has no row that can be read, and `hil record --force` replaces it"
                 if path.suffix == ".part"
+                else f"a stand file is named with --stand {path}"
+                if path.suffix == ".toml"
                 else "bring CSV data in with `hil import`"
             )
             raise WrongUse(f"{path} is not HDF5, or is cut off: {hint}") from error

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import stat
+import tempfile
 import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -37,6 +38,7 @@ _OTHERS = frozenset(
     }
 )
 """Suffixes that a recording must not have: those of other formats, and that of a recording in progress."""
+_RECORDING = frozenset({".h5", ".hdf5", ".hdf", ".he5"})
 _READ_ONLY = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
@@ -60,7 +62,7 @@ def next_free(folder: Path) -> Path:
 
 
 def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> None:
-    """Raise WrongUse if writing `path` would overwrite a file, or if its folder does not exist.
+    """Raise WrongUse if writing `path` would overwrite a file, or if its folder does not exist or cannot be written.
 
     inputs: the files that the command reads, which not even `force` overwrites. Changes nothing.
     """
@@ -74,6 +76,19 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
         if any(_is_same(path, given) for given in inputs):
             raise WrongUse(f"{path} is also an input: name another output")
         _check_replaceable(path, force=force)
+        _check_writable(path.parent)
+
+
+def check_folder(folder: Path) -> None:
+    """Raise WrongUse if the output folder `folder` cannot be made, or cannot be written. Changes nothing."""
+    with writing(folder):
+        _check_writable(next(one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)))
+
+
+def _check_writable(folder: Path) -> None:
+    """Raise OSError if no file can be made in `folder`: permissions do not say it for root, nor on every disk."""
+    with tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def check_recording_name(path: Path) -> Path:
@@ -83,6 +98,12 @@ def check_recording_name(path: Path) -> Path:
         better = stem if stem.suffix == ".h5" else path.with_suffix(".h5")
         raise WrongUse(f"{path} is no name of a recording, which is HDF5: name it {better}")
     return path
+
+
+def recording_path(path: Path) -> Path:
+    """Return `path`, with .h5 appended if it has no suffix of a known format."""
+    known = not path.name or path.suffix.lower() in _RECORDING | _OTHERS
+    return path if known else path.with_name(f"{path.name}.h5")
 
 
 def check_unfinished(path: Path) -> None:

@@ -65,8 +65,15 @@ def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> li
     return [
         "The errors are those of hil identify (least absolute deviations), 1.25 times those of least squares in white "
         "noise.\nFour times the duration halves them. Heating is not predicted.",
-        *(f"{name}, limited by {one.limited_by}:\n  {command(one, stand, task.rate)}" for name, one in judged.items()),
+        *(f"{name}, {_limit(one)}:\n  {command(one, stand, task.rate)}" for name, one in judged.items()),
     ]
+
+
+def _limit(one: Assessment) -> str:
+    """Return which limit an excitation comes nearest to, and how near for the given Kc and Bc and for the worst."""
+    index = LIMITED.index(one.limited_by)
+    share, worst = one.shares[index], one.worst_shares[index]
+    return f"{share:.0%} of the limit of {one.limited_by} ({worst:.0%} if Kc and Bc are not as given)"
 
 
 def as_json(task: Task, judged: Mapping[str, Assessment], general: list[Diagnostic], stand: str) -> dict[str, Any]:

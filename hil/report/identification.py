@@ -161,9 +161,10 @@ def summary_lines(found: Identification) -> list[str]:
     factor, unit = people_unit("N*m", milli=milli(found))
     others = [_verdict(found, estimate) for estimate in found.estimates[2:]]
     chosen = f", selected from {len(found.steps)} candidates" if found.steps else ""
+    lost = f", {found.signals.defects.lost} lost replies left out" if found.signals.defects.lost else ""
     return [
         f"model {found.model.name}{chosen}" + (f": {',  '.join(others)}" if others else ""),
-        f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples; "
+        f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples{lost}; "
         f"r.m.s. error {found.validation.nrmse:.2%} of the torque on held-out data; "
         f"optimiser gap {found.optimiser_gap:.1e}",
         *_component_lines(found),

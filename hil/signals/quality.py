@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the result
 _POOR_SNR = 20.0  # dB
 _MANY_LOST = 0.02
-_MANY_SATURATED = 0.01
+_NOTABLE = 0.01  # share of rows that are lost or saturated, above which Kc and Bc may suffer
 _MANY_JERKED = 0.05
 _GAIN_ERROR = 5e-3
 _SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
@@ -129,7 +129,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
 
 def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     defects, rows, found = quality.defects, quality.samples, []
-    if defects.lost:
+    if defects.lost > _NOTABLE * rows:
         lost = f"{defects.lost} of {rows} replies were lost and are left out: hil doctor shows how often"
         found.append(Diagnostic("lost-samples", lost))
     if defects.not_numbers:
@@ -195,7 +195,7 @@ def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     lost, saturated = quality.defects.lost / quality.samples, quality.saturated / quality.samples
     if lost > _MANY_LOST:
         found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
-    if saturated > _MANY_SATURATED:
+    if saturated > _NOTABLE:
         softer = again("drive with less torque", "--amplitude", imported=imported)
         text = f"the torque limit cut the command in {saturated:.1%} of the rows: {softer}"
         found.append(Diagnostic("saturated", text))

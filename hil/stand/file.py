@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import reprlib
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -25,7 +24,7 @@ from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
 from hil.stand.sentences import NO_SUCH_KEY, names_the_value, sentence
-from hil.stand.toml_table import LISTED, errors_in, line_of
+from hil.stand.toml_table import LISTED, errors_in, line_of, parsed
 from hil.stand.winding import WindingTable
 from sim_backend.parameters import SimParameters
 
@@ -206,10 +205,7 @@ def parse(text: str, name: str = "stand.toml") -> Stand:
 
 
 def _parsed(text: str, name: str) -> Stand:
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:  # of TOML, or of an integer of thousands of digits
-        raise WrongUse(f"{name} is not TOML: {error}") from None
+    table = parsed(text, name)
     kind, errors = _sensor_kind(table)
     model = _file_model(frozenset(name for name in table if name in BACKENDS), kind)
     file, wrong = _validated(table, model)

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from hil.errors import meant
+from hil.errors import decimal_comma, meant
 
 _SENTENCES: Mapping[str, str] = MappingProxyType(
     {
@@ -48,6 +48,8 @@ def sentence(item: Any) -> str:
     """Return a sentence about a wrong value. item: an entry of a ValidationError's `errors()`."""
     text = _SENTENCES.get(item["type"], "is not a value that this key can have")
     near = ""
+    if item["type"].startswith("float") and (comma := decimal_comma(str(item["input"]))):
+        return comma.strip()
     if item["type"] in {"literal_error", "enum"} and isinstance(item["input"], str):
         near = meant(item["input"], re.findall(r"'([^']*)'", item["ctx"]["expected"]))
     return text.format(**item.get("ctx", {})) + (f"; {near.rstrip()}" if near else "")

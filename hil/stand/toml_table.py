@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 from hil.quantities import in_si
 from hil.recording.input import read_text
 
@@ -30,10 +30,7 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
     `errors()`.
     """
     text = read_text(path, largest=_LARGEST)
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WrongUse(f"{path} is not TOML: {error}") from None
+    table = parsed(text, path)
     values, wrong = in_si(table, kind)
     items: list[Any] = [{"type": "value_error", "loc": at, "ctx": {"error": said}} for at, said in wrong.items()]
     try:
@@ -43,6 +40,20 @@ def load_table(path: Path, kind: type[Table], message: Callable[[str, Any], str]
     if items:
         raise errors_in(path, [message(text, item) for item in items[:LISTED]], len(items))
     return checked
+
+
+def parsed(text: str, name: object) -> dict[str, Any]:
+    """Return the tables in the text of the TOML file `name`. Raises WrongUse."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise WrongUse(f"{name} is nested too deeply: it has tables of plain values") from None
+    except ValueError as error:  # of TOML, or of an integer of thousands of digits
+        at = re.search(r"at line (\d+)", str(error))
+        line = text.splitlines()[int(at[1]) - 1] if at else ""
+        if comma := decimal_comma(line.partition("#")[0]):
+            raise WrongUse(f"{name}, line {at and at[1]}: {line.strip()!r}{comma}") from None
+        raise WrongUse(f"{name} is not TOML: {error}") from None
 
 
 def errors_in(name: object, lines: list[str], count: int) -> WrongUse:

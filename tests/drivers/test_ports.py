@@ -46,13 +46,19 @@ def test_a_port_without_fault_has_no_problem(tmp_path: Path, latency: int | None
     assert ports.serial_problem(port, tmp_path) == ""
 
 
-def test_a_port_without_permission_is_reported_with_the_group_to_join(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("group", "mode", "remedy"),
+    [("uucp", 0o660, "usermod -aG uucp $USER"), ("uucp", 0o600, "chmod a+rw"), ("root", 0o660, "chmod a+rw")],
+)
+def test_a_port_without_permission_is_reported_with_the_group_to_join_where_that_helps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, mode: int, remedy: str
 ) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()
+    port.chmod(mode)
     monkeypatch.setattr(os, "access", lambda *_: False)
-    assert f"usermod -aG {port.group()} $USER" in ports.serial_problem(port, tmp_path)
+    monkeypatch.setattr(Path, "group", lambda _: group)
+    assert f"sudo {remedy}" in ports.serial_problem(port, tmp_path)
 
 
 def link(state: str, *, up: bool = True, kind: str = "can") -> dict[str, Any]:

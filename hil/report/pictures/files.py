@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hil.errors import WrongUse
-from hil.recording.output import atomic_write, check_output, writing
+from hil.recording.output import atomic_write, check_folder, check_output, writing
 from hil.report.html_page import Picture
 from hil.report.pictures.canvas import drawn
 
@@ -19,8 +19,7 @@ def write_pictures(pictures: Sequence[Picture], folder: Path, *, force: bool) ->
     """Write each picture as NAME.png into a folder; return the paths. Creates the folder. force: replace existing
     files. Raises WrongUse.
     """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_picture_folder(folder)
     paths = [folder / f"{one.name}.png" for one in pictures]
     for path in paths:
         check_output(path, force=force)
@@ -29,11 +28,13 @@ def write_pictures(pictures: Sequence[Picture], folder: Path, *, force: bool) ->
     return paths
 
 
-def check_picture_name(path: Path) -> Path:
-    """Return `path` as the path of a picture. Raises WrongUse if its suffix is that of another format."""
-    if path.suffix.lower() != ".png":
-        raise WrongUse(f"{path} is no name of a picture, which is PNG: name it {path.with_suffix('.png')}")
-    return path
+def make_picture_folder(folder: Path) -> None:
+    """Create the folder of pictures. Raises WrongUse if that is impossible, or if `folder` is the name of a picture."""
+    if folder.suffix.lower() in {".png", ".svg", ".pdf", ".jpg"}:
+        raise WrongUse(f"{folder} is the name of a picture, and --plot names a folder for PNG files: {folder.stem}")
+    check_folder(folder)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def save_picture(figure: Figure, path: Path, *, force: bool) -> None:

@@ -94,5 +94,5 @@ def test_what_an_ascii_terminal_cannot_show_is_spelled_out(tmp_path: Path, monke
 )
 def test_a_picture_of_rows_beyond_any_bench_is_drawn(hil: Hil, make_recording: Maker, words: tuple[str, ...]) -> None:
     path = make_recording(change=partial(put("torque", 1.7e308, slice(0, 2000, 2))))
-    option = ("--plot", "a.png") if words == ("inspect",) else ("--report", "a.html")
+    option = ("--plot", "a") if words == ("inspect",) else ("--report", "a.html")
     assert "fault in hil" not in hil(*words, path, *option).err

@@ -229,11 +229,11 @@ def test_a_picture_is_a_png(tmp_path: Path) -> None:
 
 def test_inspect_draws_the_recording_and_refuses_another_format(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(samples=400, noise=2e-4)
-    assert hil("inspect", path, "--plot", "a.png").status == 0
-    assert Path("a.png").read_bytes().startswith(b"\x89PNG")
-    assert hil("inspect", path, "--plot", "a.png").status == 2
+    assert hil("inspect", path, "--plot", "a").status == 0
+    assert Path("a", f"{path.stem}.png").read_bytes().startswith(b"\x89PNG")
+    assert hil("inspect", path, "--plot", "a").status == 2
     ended = hil("inspect", path, "--plot", "a.svg")
-    assert (ended.status, "a.svg is no name of a picture" in ended.err) == (2, True)
+    assert (ended.status, "a.svg is the name of a picture" in ended.err) == (2, True)
 
 
 @pytest.mark.study
