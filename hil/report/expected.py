@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 from hil.units import quantity
 
 if TYPE_CHECKING:
@@ -33,9 +33,8 @@ def expectation(text: str) -> Expected:
         if not (percent.strip().endswith("%") and 0.0 < share < 1.0 and middle > 0.0):
             raise ValueError
     except (KeyError, ValueError, WrongUse):
-        raise WrongUse(
-            f"--expect {text!r}: write a parameter, its value and how far it may be off, as in Kc=17.75mN*m/rad:2%"
-        ) from None
+        form = ": write a parameter, its value and how far it may be off, as in Kc=17.75mN*m/rad:2%"
+        raise WrongUse(f"--expect {text!r}{decimal_comma(text) or form}") from None
     return Expected(name.strip(), middle * (1.0 - share), middle * (1.0 + share), text)
 
 

@@ -20,6 +20,7 @@ from ..conftest import Hil, Maker
         ("doctor", "--rate", "0,005"),
         ("identify", "a.h5", "--mutation", "0,005"),
         ("identify", "a.h5", "--bounds", "Kc=0,005:1"),
+        ("identify", "a.h5", "--expect", "Kc=0,005:2%"),
         ("stand", "new", "--yes", "--set", "limits.torque=0,005"),
         ("stand", "new", "--yes", "--set", "stand.gear_ratio=0,005"),
         ("doctor", "comma.toml"),
