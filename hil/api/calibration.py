@@ -189,7 +189,8 @@ def _error(ci95: tuple[float, float]) -> float:
 
 
 def _digits(value: float, digits: int = 4) -> float:
-    return float(f"{value:.{digits}g}")
+    """Return a value as a stand file takes it: rounding that exact readings leave is 0."""
+    return float(f"{value:.{digits}g}") if abs(value) > 1e-15 else 0.0
 
 
 def _now() -> datetime:

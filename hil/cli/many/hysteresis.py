@@ -30,7 +30,7 @@ def hysteresis(
     torque_unit: Annotated[str | None, typer.Option(help="N*m, mN*m, ... [default: the heading's].")] = None,
     dtheta_unit: Annotated[str | None, typer.Option(help="rad, deg, rev [default: the heading's].")] = None,
     report: Annotated[Path | None, typer.Option(help="Also write a report (HTML).")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Also draw the loops into this file (PNG).")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Also draw the loops (PNG) into this folder.")] = None,
     force: options.Force = False,
     as_json: options.Json = False,
 ) -> None:
@@ -38,11 +38,12 @@ def hysteresis(
     from hil.api.hysteresis import hysteresis as measure
     from hil.recording.output import check_output
     from hil.report.loops.hysteresis import NO_DAMPING, tables
-    from hil.report.pictures.files import check_picture_name, save_picture
+    from hil.report.pictures.files import make_picture_folder, save_picture
 
     options.check_report(report, runs, force=force)
     if plot is not None:
-        check_output(check_picture_name(plot), force=force, inputs=runs)
+        make_picture_folder(plot)
+        check_output(plot / "hysteresis.png", force=force)
     found = measure(
         runs,
         rated=rated,
@@ -63,8 +64,8 @@ def hysteresis(
     if report is not None:
         note(f"wrote {found.report(report, command_line(), force=force)}")
     if plot is not None:
-        save_picture(found.plot(), plot, force=force)
-        note(f"wrote {plot}")
+        save_picture(found.plot(), plot / "hysteresis.png", force=force)
+        note(f"wrote {plot / 'hysteresis.png'}")
 
 
 def _part(text: str) -> tuple[float, float]:

@@ -23,11 +23,11 @@ def test_a_table_of_weights_has_a_stiffness_and_no_damping(hil: Hil) -> None:
     assert ended.status == 0
     assert ended.json["loading_stiffness"]["value"] == pytest.approx(10.0 * 180.0 / np.pi, rel=1e-6)
     assert ended.json["damping"] is None
-    shown = hil("hysteresis", "w.csv", "--part", "2:8N*m", "--report", "w.html", "--plot", "w.png")
+    shown = hil("hysteresis", "w.csv", "--part", "2:8N*m", "--report", "w.html", "--plot", "p")
     assert shown.out.startswith("loading stiffness 573 N m/rad, from 2 N m to 8 N m; no Bc from this")
     assert "Bc cannot come from this" in shown.out
     assert "hil-hysteresis/1" in Path("w.html").read_text()
-    assert Path("w.png").stat().st_size > 1000
+    assert Path("p/hysteresis.png").stat().st_size > 1000
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ COMMANDS: dict[str, list[tuple[tuple[str, ...], str]]] = {  # words with @ for t
         (("identify", "good.h5", "--fixture", "@"), ".h5"),
         (("identify", "good.h5", "--model", "@:NAME"), ".py"),
     ],
+    "hysteresis": [(("hysteresis", "@"), ".h5 .csv")],
     "compare": [(("compare", "good.h5", "@"), ".h5")],
     "report": [(("report", "@", "-o", "r.html"), ".h5")],
     "inspect": [(("inspect", "@"), ".h5"), (("inspect", "@", "--verify"), ".h5 .csv")],

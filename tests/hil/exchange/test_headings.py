@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 
 import pytest
 
@@ -123,6 +124,8 @@ def invented(count: int) -> list[tuple[str, str, str]]:
             is_it = written is not None and units.known(dimension, written) is not None and unit is not None
             if is_it and math.isclose(units.factor(dimension, unit or ""), units.factor(dimension, written or "")):
                 continue
+            if unit is not None and set(re.split("[/_]", unit)) <= in_words.union(*WRITTEN.values()):
+                continue  # "turn in rev" and "motor rev/s" do state one
             bracketed = title.rpartition("(")[2].removesuffix(")") if written is None and title.endswith(")") else ""
             if unit is not None and bracketed.lower() not in in_words:  # "time (second)" does state one
                 found.append((title, dimension, unit))
