@@ -130,7 +130,7 @@ motor_inertia = 3.2e-6
 torque_stays_on_if_host_dies = true
 [limits]
 torque = {torque}
-deflection = 20.0
+deflection = "20 rad"
 velocity = 200.0
 temperature = 80.0
 [{backend}]

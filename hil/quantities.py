@@ -6,8 +6,9 @@ Each table of such a file has a Python class. A field that is a physical quantit
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import is_dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import lru_cache
 from typing import Any, get_args, get_type_hints
 
@@ -15,7 +16,19 @@ from annotated_types import Unit
 from pydantic import BaseModel
 
 from hil.errors import WrongUse
-from hil.units import dimension_of, quantity
+from hil.units import dimension_of, factor, printed, quantity
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """The largest value, SI, that a number without a unit can have meant; what is larger needs its unit in the file.
+
+    units: those in which such a number was probably meant, the likeliest first.
+    """
+
+    most: float
+    units: tuple[str, ...]
+
 
 Place = tuple[str | int, ...]
 """The keys that lead to a value, from the outermost table inwards."""
@@ -45,14 +58,36 @@ def _value(value: Any, hint: Any) -> tuple[Any, dict[Place, str]]:
     if isinstance(value, bool) and _is_number(hint):  # else `torque = true` would be a limit of 1 N m
         return value, {(): f"{str(value).lower()} is not a number"}
     unit = unit_of(hint)
-    if not isinstance(value, str) or unit is None:
-        return value, {}
-    try:
-        number, dimension = quantity(value, dimension_of(unit))
-    except WrongUse as error:
-        return value, {(): str(error)}
-    # rounded to what the text can have meant, so that "508 us" is not above a bound of 508e-6
-    return (value if dimension is None else float(f"{number:.15g}")), {}
+    return (value, {}) if unit is None else _quantity(value, unit, hint)
+
+
+def _quantity(value: Any, unit: str, hint: Any) -> tuple[Any, dict[Place, str]]:
+    """Return a physical quantity in the SI unit `unit`, and what is wrong with it. A number needs no unit if it is
+    usual.
+    """
+    number, dimension = value, None
+    if isinstance(value, str):
+        try:
+            number, dimension = quantity(value, dimension_of(unit))
+        except WrongUse as error:
+            return value, {(): str(error)}
+    if (
+        dimension is not None
+    ):  # rounded to what the text can have meant, so that "508 us" is not above a bound of 508e-6
+        return float(f"{number:.15g}"), {}
+    meant = _meant(number, unit, hint)
+    return value, {(): meant} if meant else {}
+
+
+def _meant(value: Any, unit: str, hint: Any) -> str:
+    """Return a sentence about a number that cannot be meant in the SI unit `unit`, "" for any other value."""
+    usual = next((part for part in _parts(hint) if isinstance(part, Usual)), None)
+    if usual is None or not isinstance(value, int | float) or not usual.most < value < math.inf:
+        return ""
+    known = [one for one in usual.units if value * factor(dimension_of(unit), one) <= usual.most]
+    likely = (known or usual.units)[0]
+    stated = f'"{value:g} {unit}"'
+    return f'{value:g} would be {value:g} {printed(unit)}: write "{value:g} {likely}", or {stated} if it is that'
 
 
 def _values(values: list[Any], hint: Any) -> tuple[list[Any], dict[Place, str]]:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse, meant
-from hil.quantities import Place, in_si, keys_of
+from hil.quantities import Place, Usual, in_si, keys_of
 from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, check_sensor
@@ -61,7 +61,7 @@ class StandTable(_Table):
     name: str = "unnamed stand"
     backend: str | None = None
     gear_ratio: Annotated[float, Field(ge=1e-3, le=1e5)] = 1.0
-    motor_inertia: Annotated[NotNegative, Unit("kg*m^2")] = 0.0
+    motor_inertia: Annotated[NotNegative, Unit("kg*m^2"), Usual(0.01, ("g*cm^2",))] = 0.0
     motor_damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 0.0
     torque_source: Literal["motor", "joint"] = "motor"
     torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
@@ -76,10 +76,10 @@ class LimitsTable(_Table):
     A value may be a text with its unit: deflection = "60 deg".
     """
 
-    torque: Annotated[Positive, Unit("N*m")]
-    deflection: Annotated[Positive, Unit("rad")]
-    velocity: Annotated[Positive, Unit("rad/s")]
-    temperature: Annotated[Positive, Unit("degC")] = 70.0
+    torque: Annotated[Positive, Unit("N*m"), Usual(200.0, ("mN*m",))]
+    deflection: Annotated[Positive, Unit("rad"), Usual(math.pi, ("deg", "mrad"))]
+    velocity: Annotated[Positive, Unit("rad/s"), Usual(1000.0, ("deg/s",))]
+    temperature: Annotated[Positive, Unit("degC"), Usual(200.0, ("K",))] = 70.0
 
 
 class File(_Table):

@@ -98,3 +98,22 @@ def test_the_help_shows_the_options_of_the_genetic_algorithm_apart(hil: Hil) -> 
     assert "--report" in usual
     assert "--mutation" not in usual
     assert "--mutation" in genetic
+
+
+@pytest.mark.parametrize(
+    ("key", "number", "meant"),
+    [
+        ("limits.deflection", "60", "60 deg"),
+        ("limits.deflection", "500", "500 mrad"),
+        ("limits.torque", "300", "300 mN*m"),
+        ("limits.temperature", "343", "343 K"),
+        ("stand.motor_inertia", "10", "10 g*cm^2"),
+    ],
+)
+def test_a_number_that_cannot_be_meant_is_refused_with_the_unit_that_was(
+    hil: Hil, key: str, number: str, meant: str
+) -> None:
+    ended = hil("stand", "new", "--yes", "--set", f"{key}={number}")
+    assert (ended.status, f'write "{meant}"' in ended.err) == (2, True), ended.err
+    unit = ended.err.split('or "')[1].split('"')[0]
+    assert hil("stand", "new", "--yes", "--set", f"{key}={unit}").status == 0

@@ -41,7 +41,7 @@ backend = "dynamixel"
 torque_stays_on_if_host_dies = true
 [limits]
 torque = {torque}
-deflection = 20.0
+deflection = "20 rad"
 velocity = 60.0
 temperature = 80.0
 """

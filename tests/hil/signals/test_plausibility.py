@@ -45,7 +45,7 @@ def test_a_recording_that_its_stand_cannot_have_made_is_warned_of(
         (9.0, "", True),
         (12.0, LIMITS, False),
         (9.0, LIMITS, True),
-        (12.0, LIMITS.replace("deflection = 1.0", "deflection = 5.0"), True),
+        (12.0, LIMITS.replace("deflection = 1.0", 'deflection = "5 rad"'), True),
     ],
 )
 def test_a_deflection_of_more_than_a_turn_is_an_error_unless_the_limits_allow_it(
