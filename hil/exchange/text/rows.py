@@ -238,7 +238,8 @@ def _encoding(source: Path) -> str:
     """Return the encoding of a file: UTF-8 with or without a byte-order mark, or UTF-16, which spreadsheets call
     Unicode text. Raises WrongUse for a file that is no text.
     """
-    with _bytes(source) as raw, suppress(EOFError):
+    start = b""
+    with _bytes(source) as raw, suppress(EOFError):  # a packed file that is cut off has no beginning
         start = raw.read(_SNIFFED)
     if start[:2] in {b"\xff\xfe", b"\xfe\xff"}:
         return "utf-16"
