@@ -126,7 +126,8 @@ def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
     for match in _BRACKETS.finditer(title):
         name = (title[: match.start()] + title[match.end() :]).strip()
         text = next(text for text in match.groups() if text is not None).strip()
-        if name and not _INDEX.fullmatch(text):
+        is_index = _INDEX.fullmatch(text) and not title[: match.start()].endswith(" ")
+        if name and not is_index:
             yield name.rstrip("/_ "), text
 
 

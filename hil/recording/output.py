@@ -72,7 +72,7 @@ def check_output(path: Path, *, force: bool, inputs: Sequence[Path] = ()) -> Non
         if path.is_dir():
             raise WrongUse(f"{path} is a folder: name a file, such as {path / 'run1.h5'}")
         if not path.parent.is_dir():
-            raise WrongUse(f"{path.parent} is not a folder: make it first, or name another output with -o")
+            raise WrongUse(f"{path.parent} is not a folder: make it first, or name another place")
         if any(_is_same(path, given) for given in inputs):
             raise WrongUse(f"{path} is also an input: name another output")
         _check_replaceable(path, force=force)

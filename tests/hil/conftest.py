@@ -132,7 +132,7 @@ def make_recording(tmp_path: Path, written: Path) -> Maker:
         change: Callable[[dict[str, Array]], object] | None = None,
         stand: str = "",
     ) -> Path:
-        path, kept = tmp_path / name, written / f"{hash((samples, rate, kc, bc, noise, seed, stand))}.h5"
+        path, kept = tmp_path / name, written / f"{hash((name, samples, rate, kc, bc, noise, seed, stand))}.h5"
         if change is None and kept.exists():
             shutil.copyfile(kept, path)
             return path

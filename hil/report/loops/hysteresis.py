@@ -19,10 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SCHEMA = "hil-hysteresis/1"
-NO_DAMPING = (
-    "Bc cannot come from this: in a slow test friction gives the same loop. Record a chirp for Bc, such as hil record "
-    "--profile chirp"
-)
+NO_DAMPING = "Bc cannot come from this: in a slow test friction gives the same loop. Record a chirp for Bc"
 
 
 def headline(found: Measures) -> str:
