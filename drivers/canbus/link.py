@@ -224,9 +224,7 @@ class CanLink:
                 return message
             if message is None and self._clock.now() >= deadline and not self._unread():
                 return None
-        raise BadReply(
-            f"{self.name} never falls silent: error frames without end; check wiring, bit rate and termination"
-        )
+        raise BadReply(f"{self.name} carries error frames without a pause: check wiring, bit rate and termination")
 
     def waiting(self) -> list[can.Message]:
         """Return all frames that have arrived, without waiting; damaged frames are dropped. Raises LinkLost,

@@ -261,7 +261,7 @@ def _from_file(path: Path) -> tuple[Shape, float, float]:
     try:
         rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
     except csv.Error as error:
-        raise WrongUse(f"{path}: the set-points are no CSV ({error})") from None
+        raise WrongUse(f"{path}: the set-points are not a CSV table ({error})") from None
     body = rows[1:] if rows and not _is_number(rows[0][0]) else rows
     for number, row in enumerate(body, start=1 + len(rows) - len(body)):
         if len(row) != 2 or not all(_is_number(cell) for cell in row):

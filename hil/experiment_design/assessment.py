@@ -187,7 +187,9 @@ def _readings(stand: Stand, plant: SimParameters, torque_noise: float | None) ->
         age = sensors.joint_torque_delay + 1.0 / (2.0 * math.pi * sensors.torque_cell_bandwidth)
     if torque_noise is not None:
         if not (math.isfinite(torque_noise) and torque_noise > 0.0):
-            raise WrongUse(f"--torque-noise {torque_noise:g}: give its standard deviation in N m at the joint")
+            raise WrongUse(
+                f"--torque-noise {torque_noise:g}: must be above 0: the standard deviation of the torque, N m"
+            )
         noise, lsb = torque_noise, 0.0
     joint_count = 1.0 / sensors.joint_counts if sensors.joint_encoder else 0.0
     count = 2.0 * math.pi * math.hypot(1.0 / (ratio * sensors.motor_counts), joint_count)
