@@ -6,7 +6,7 @@ Each table of such a file has a Python class. A field that is a physical quantit
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import lru_cache
@@ -82,7 +82,7 @@ def _quantity(value: Any, unit: str, hint: Any) -> tuple[Any, dict[Place, str]]:
 def _meant(value: Any, unit: str, hint: Any) -> str:
     """Return a sentence about a number that cannot be meant in the SI unit `unit`, "" for any other value."""
     usual = next((part for part in _parts(hint) if isinstance(part, Usual)), None)
-    if usual is None or not isinstance(value, int | float) or not usual.most < value < math.inf:
+    if usual is None or not isinstance(value, int | float) or not usual.most < value <= sys.float_info.max:
         return ""
     known = [one for one in usual.units if value * factor(dimension_of(unit), one) <= usual.most]
     likely = (known or usual.units)[0]

@@ -16,7 +16,7 @@ from drivers.servo import Quantity
 
 def _known(name: object) -> object:
     """Return `name`. Raises ValueError with the reason for a servo that measures no current."""
-    if name not in models() and (reason := no_current(str(name))):
+    if isinstance(name, str) and name not in models() and (reason := no_current(name)):
         raise ValueError(reason)
     return name
 
