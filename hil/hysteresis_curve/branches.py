@@ -10,8 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.errors import Untrustworthy
+
 Array = NDArray[np.float64]
 
+_SLOW: Final = 1.0
+"""The shortest mean time of a stroke of a slow test, s."""
 _REVERSAL: Final = 0.1
 """The share of its range by which the guide (set-point or torque) must turn back before a stroke has ended."""
 _NOISES: Final = 8.0
@@ -34,6 +38,20 @@ class Torsion:
     angle: Array
     setpoint: Array | None = None
     seconds: float = float("nan")
+
+    @property
+    def guide(self) -> Array:
+        """Return what turns back at the end of a stroke: the set-point, or the torque without one."""
+        return self.torque if self.setpoint is None else self.setpoint
+
+    def check_slow(self) -> None:
+        """Raise Untrustworthy if a stroke is so short that damping adds to the torque."""
+        stroke = self.seconds / max(1, len(reversals(self.guide)) - 1)
+        if stroke < _SLOW:
+            raise Untrustworthy(
+                f"{self.name} is not slow: a stroke takes {stroke:.2g} s on average, so damping is in its torque, and "
+                f"its slope is not the stiffness. Find Kc and Bc with hil identify, or take {_SLOW:g} s a stroke"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +80,7 @@ class Branch:
 
 def branches_of(test: Torsion) -> list[Branch]:
     """Return the branches of a test in order; each has at least two rows and a torque other than zero."""
-    guide = test.torque if test.setpoint is None else test.setpoint
+    guide = test.guide
     ends = reversals(guide)
     found = []
     for stroke, (start, stop) in enumerate(pairwise(ends)):

@@ -102,8 +102,10 @@ def measure(
     """Return the measures of tests of one joint.
 
     rated: N m; None: the torque that every branch under load reaches. parts: N m; () for 0 to 15 % and 15 to 100 % of
-    it. at: N m; None for 3 % of it. Raises Untrustworthy if no branch is long enough.
+    it. at: N m; None for 3 % of it. Raises Untrustworthy if a test is not slow, or no branch is long enough.
     """
+    for test in tests:
+        test.check_slow()
     cut = {test.name: branches_of(test) for test in tests}
     rated = _rated(cut) if rated is None else rated
     parts = tuple(parts) or ((0.0, LINEAR * rated), (LINEAR * rated, rated))

@@ -9,12 +9,10 @@ import numpy as np
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
 from hil.errors import Untrustworthy
-from hil.hysteresis_curve.branches import Torsion, reversals
+from hil.hysteresis_curve.branches import Torsion
 from hil.hysteresis_curve.measures import measure
 from hil.signals.prepare import Signals
 
-_SLOW: Final = 1.0
-"""The shortest mean time of a stroke of a slow test, s."""
 _STIFFER: Final = 1.3
 """How many times stiffer unloading must be than loading; friction that does not grow with the load gives less."""
 _MODELS: Final = ("linear+offset+backlash+dahl", "linear+cubic+offset+backlash+dahl")
@@ -34,12 +32,12 @@ def refuse_slow_ramp(signals: Signals) -> None:
     The friction of such a joint grows with the load, which one ramp cannot distinguish from other effects.
     """
     motion = signals.motion
-    strokes = len(reversals(signals.torque)) - 1
-    if motion.repeats or float(motion.time[-1] - motion.time[0]) < _SLOW * strokes:
+    if motion.repeats:
         return
+    seconds = float(motion.time[-1] - motion.time[0])
     try:
-        found = measure([Torsion("", signals.torque, motion.dtheta)])
-    except Untrustworthy:  # there is no loop
+        found = measure([Torsion("", signals.torque, motion.dtheta, seconds=seconds)])
+    except Untrustworthy:  # it is not slow, or there is no loop
         return
     loading, unloading = found.loading.mean, found.stiffness.get(("unloading", "both", found.parts[-1]))
     if unloading is None or unloading.mean < _STIFFER * loading or not _fails(signals):

@@ -30,6 +30,12 @@ def test_a_table_of_weights_has_a_stiffness_and_no_damping(hil: Hil) -> None:
     assert Path("p/hysteresis.png").stat().st_size > 1000
 
 
+def test_a_fast_recording_has_no_stiffness_by_its_slope(hil: Hil, make_recording: Maker) -> None:
+    ended = hil("hysteresis", make_recording(noise=1e-5))
+    assert (ended.status, ended.out) == (1, "")
+    assert "a.h5 is not slow: a stroke takes 0." in ended.err
+
+
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
