@@ -470,32 +470,6 @@ def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
     assert fit(more, near).fitness <= smaller.fitness * (1.0 + 1e-12)
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["linear+maxwell+skew", "linear+offset+lag", "linear+offset+capstan+lag", "linear+offset+quadratic+softening+skew",
-     "linear+offset+deadband+lag", "linear+offset+maxwell+deadband", "linear+dahl+skew", "linear+boucwen+skew",
-     "linear+coulomb+stribeck+skew", "linear+coulomb+smooth+skew", "linear+offset+sheath+skew",
-     "linear+offset+pulley+skew", "linear+offset+capstan+smooth", "linear+offset+cubic+quintic+progressive+skew",
-     "linear+offset+backlash+gear", "linear+hardening+skew", "linear+exponential+skew",
-     "linear+offset+toe+skew"],
-)  # fmt: skip
-def test_the_jacobian_is_the_derivative_of_what_the_model_explains(name: str) -> None:
-    even = moving(np.linspace(0.0, 4.0, 1601))
-    model = parse(name).anchored(even)
-    low, high = model.bounds(even, 11.0)
-    nonlinear, genes = low + 0.3 * (high - low), np.linspace(0.5, 1.5, len(model.linear))
-    read = 3.0 + np.cos(5.0 * even.time)  # begins in a state that is not the model's
-    found = model.jacobian(even, nonlinear, genes, torque=read)
-    for k in range(len(nonlinear)):
-        step = np.zeros(len(nonlinear))
-        step[k] = 1e-6
-        ends = [nonlinear + sign * step for sign in (1.0, -1.0)]
-        explained = [model.columns(even, end) @ genes - model.target(even, read, end) for end in ends]
-        expected = (explained[0] - explained[1]) / 2e-6
-        alike = np.isclose(found[:, k], expected, rtol=0.01, atol=0.01 * np.abs(expected).max() + 1e-9)
-        assert np.mean(alike) > 0.9
-
-
 def test_the_derivative_by_a_build_up_is_as_right_where_the_joint_moves_by_a_few_microradians() -> None:
     """A motion and a build-up of a millionth of the size: the friction is the same, its derivative a million times."""
     scale, reach, genes = 1e-6, np.array([2e-4]), np.array([0.0, 0.0, 1.0])

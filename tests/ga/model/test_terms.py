@@ -251,24 +251,6 @@ def test_what_is_known_of_the_torque_is_as_old_as_the_rest_of_it() -> None:
     assert left[10:-10] == pytest.approx(2.4 * np.sin(2.0 * (TIME - TIME[0] - 0.03))[10:-10], abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["linear+skew", "linear+offset+cubic+inertia+skew", "linear+slack+skew"])
-def test_the_slopes_are_the_derivative_of_the_torque(name: str) -> None:
-    """Against finite differences, away from where a gap ends or the motion turns."""
-    motion = Motion(TIME - TIME[0], DTHETA, RATE, ACCELERATION, np.zeros(401), rate_noise=0.02)
-    model = parse(name).anchored(motion)
-    shape = np.array([-0.03, 0.02][-len(model.nonlinear) :])
-    genes = np.linspace(0.5, 1.5, len(model.linear))
-    slopes = model.jacobian(motion, shape, genes)
-    for k in range(len(shape)):
-        step = np.zeros(len(shape))
-        step[k] = 1e-6
-        torque = [model.columns(motion, shape + sign * step) @ genes for sign in (1.0, -1.0)]
-        expected = (torque[0] - torque[1]) / 2e-6
-        smooth = np.abs(expected) < 100.0
-        assert np.count_nonzero(smooth) > 390
-        assert slopes[smooth, k] == pytest.approx(expected[smooth], rel=1e-3, abs=1e-3)
-
-
 def test_the_slope_of_a_gap_is_half_the_stiffness_on_either_flank() -> None:
     slopes = parse("linear+backlash").jacobian(MOTION, np.array([0.1, 0.0]), np.array([2.0, 0.1]))
     assert set(np.unique(slopes[:, 0])) == {-1.0, 0.0, 1.0}
