@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any
 from hil.standard_files import open_standard_files
 
 if TYPE_CHECKING:
-    from hil.api.analysis import ComparisonResult, IdentificationResult, NoResult, compare, identify, identify_each
+    from hil.api.analysis import compare, identify, identify_each
     from hil.api.hysteresis import HysteresisResult, hysteresis
     from hil.api.planning import DesignResult, design
     from hil.api.recordings import LoadedRecording, load
+    from hil.api.results import ComparisonResult, IdentificationResult, NoResult
     from hil.api.runs import Run, record, simulate
     from hil.errors import Untrustworthy, WrongUse
 
@@ -48,17 +49,11 @@ __all__ = [
 ]
 
 _PLACES = {
-    "hil.api.analysis": (
-        "ComparisonResult",
-        "IdentificationResult",
-        "NoResult",
-        "compare",
-        "identify",
-        "identify_each",
-    ),
+    "hil.api.analysis": ("compare", "identify", "identify_each"),
     "hil.api.hysteresis": ("HysteresisResult", "hysteresis"),
     "hil.api.planning": ("DesignResult", "design"),
     "hil.api.recordings": ("LoadedRecording", "load"),
+    "hil.api.results": ("ComparisonResult", "IdentificationResult", "NoResult"),
     "hil.api.runs": ("Run", "record", "simulate"),
     "hil.errors": ("Untrustworthy", "WrongUse"),
 }

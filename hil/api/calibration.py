@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.clock import Clock
-from hil.api.analysis import IdentificationResult, identify
+from hil.api.analysis import identify
+from hil.api.results import IdentificationResult
 from hil.calibration.points import Load
 from hil.calibration.session import TorqueCell, motor_at_rest, released, steady
 from hil.calibration.step import StepResponse, step_response

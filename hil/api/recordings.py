@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.recording.channels import CHANNELS, units_of
+from hil.recording.interval import Part, named
 from hil.recording.reader import Event, Recording
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class LoadedRecording:
     channels, units, descriptions: by the channel names in `hil.recording.channels`; a missing reading is NaN. profile:
     the excitation. attributes: those of the file, such as created and stand_toml. events: of the run, in order. truth:
     the simulator's true parameters, SI; {} for a real stand. complete: whether the run ended as planned.
+    window: the first and the last time, s, if only a part was loaded.
     """
 
     path: Path
@@ -42,6 +44,7 @@ class LoadedRecording:
     events: tuple[Event, ...]
     truth: Mapping[str, float]
     complete: bool
+    window: tuple[float, float] | None = None
 
     def __getitem__(self, name: str) -> Array:
         try:
@@ -53,7 +56,9 @@ class LoadedRecording:
         return len(self.channels["time"])
 
     def __repr__(self) -> str:
-        return f"<recording {self.path}: {len(self)} samples, {self.profile.get('kind', 'unknown')}>"
+        return (
+            f"<recording {named(self.path, self.window)}: {len(self)} samples, {self.profile.get('kind', 'unknown')}>"
+        )
 
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with time, s, as index and one column for each channel; `attrs["units"]` has the
@@ -88,12 +93,13 @@ class LoadedRecording:
         return recording_figure(self.channels, self.units)
 
 
-def load(path: str | os.PathLike[str]) -> LoadedRecording:
-    """Return a recording with all its channels in memory.
+def load(path: str | os.PathLike[str], *, start: Any = None, end: Any = None) -> LoadedRecording:
+    """Return a recording, or its rows from `start` to `end`, with all its channels in memory.
 
-    Raises WrongUse for a file that is no recording, Untrustworthy for a damaged one.
+    start, end: times of the recording: numbers, s, pint quantities, or texts such as "2 min"; None: no bound. Raises
+    WrongUse for a file that is no recording and if no row is left, Untrustworthy for a damaged one.
     """
-    with Recording(Path(path)) as recording:
+    with Recording(Part(Path(path), start, end)) as recording:
         return LoadedRecording(
             path=recording.path,
             channels=MappingProxyType({name: recording.channel(name) for name in CHANNELS}),
@@ -104,6 +110,7 @@ def load(path: str | os.PathLike[str]) -> LoadedRecording:
             events=tuple(recording.events()),
             truth=MappingProxyType(recording.truth()),
             complete=recording.complete,
+            window=recording.window,
         )
 
 

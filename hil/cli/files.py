@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 def inspect(
     recording: Annotated[Path, typer.Argument(help="A recording, finished or not.")],
+    first: options.From = None,
+    last: options.To = None,
     plot: options.Plot = None,
     force: options.Force = False,
     as_json: options.Json = False,
@@ -26,12 +28,15 @@ def inspect(
 ) -> None:
     """Summarise a recording and check its quality, after a check that the file is as it was written."""
     from hil.api.recordings import load
+    from hil.recording.interval import between
     from hil.recording.output import check_output
     from hil.report.inspection import as_json as to_json
     from hil.report.inspection import inspection_table
     from hil.report.pictures.files import make_picture_folder, save_picture
     from hil.signals.inspection import inspect as look
 
+    if verify and (first, last) != (None, None):
+        raise WrongUse("--verify checks the whole file: leave out --from and --to")
     if verify:
         _verify(recording, as_json=as_json)
         return
@@ -39,10 +44,11 @@ def inspect(
         drawn = plot / f"{recording.stem}.png"
         make_picture_folder(plot)
         check_output(drawn, force=force)
-        save_picture(load(recording).plot(), drawn, force=force)
+        save_picture(load(recording, start=first, end=last).plot(), drawn, force=force)
         note(f"wrote {drawn}")
     with progress() as show:
-        seen = look(recording, show)
+        [part] = between([recording], first, last)
+        seen = look(part, show)
     if as_json:
         print_json(to_json(seen))
     else:
@@ -183,6 +189,8 @@ def export_data(
         str | None,
         typer.Option("--format", help="csv, parquet, mat, mcap; mujoco, urdf, sdf, c, json [default: the name's]."),
     ] = None,
+    first: options.From = None,
+    last: options.To = None,
     force: options.Force = False,
 ) -> None:
     """Write a recording as a table, or its coupling as a model: MuJoCo, URDF, SDF, C or JSON.
@@ -190,29 +198,35 @@ def export_data(
     hil export run1.h5 -o run1.csv; hil export run1.h5 -o finger.xml
     """
     from hil.exchange.exporter import TABLES, export, format_of
+    from hil.recording.interval import between
     from hil.recording.output import check_output
 
     chosen = format_of(output, form)
     check_output(output, force=force, inputs=[source])
     if chosen in TABLES:
-        out(f"{output}: {export(source, output, force=force)} rows")
+        [part] = between([source], first, last)
+        out(f"{output}: {export(part, output, force=force)} rows")
     else:
-        _export_coupling(source, output, chosen, force=force)
+        _export_coupling(source, output, chosen, (first, last), force=force)
 
 
-def _export_coupling(source: Path, output: Path, form: str, *, force: bool) -> None:
+def _export_coupling(
+    source: Path, output: Path, form: str, window: tuple[str | None, str | None], *, force: bool
+) -> None:
     """Write the coupling from a result, or from a recording, which is identified first."""
     from hil.exchange.coupling import of_json, of_result
     from hil.exchange.exporter import export_coupling
     from hil.exchange.models import FORMATS
 
     if source.suffix.lower() == ".json":
+        if window != (None, None):
+            raise WrongUse(f"{source} is a result and has no rows: leave out --from and --to, or export the recording")
         found = of_result(source)
     else:
         from hil.api.analysis import identify
 
         with progress() as show:
-            result = identify(source, progress=show)
+            result = identify(source, start=window[0], end=window[1], progress=show)
         found = of_json(result.as_json(), str(source))
     export_coupling(found, output, force=force)
     out(f"{output}: Kc {found.stiffness:.5g} N m/rad, Bc {found.damping:.5g} N m s/rad ({found.model})")

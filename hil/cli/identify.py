@@ -29,7 +29,7 @@ from hil.report.expected import Expected, expectation, missed
 from hil.units import SI
 
 if TYPE_CHECKING:
-    from hil.api.analysis import IdentificationResult
+    from hil.api.results import IdentificationResult
     from hil.identification.result import Identification
 
 Verbose = Annotated[
@@ -46,6 +46,8 @@ _DIMENSIONS = {"Kc": ("stiffness",), "Bc": ("damping",)}  # of --bounds; others 
 
 def identify(
     recordings: Annotated[list[Path], typer.Argument(help="One or more recordings, pooled.")],
+    first: options.From = None,
+    last: options.To = None,
     model: Annotated[
         str | None,
         typer.Option(
@@ -84,6 +86,7 @@ def identify(
     del list_models  # is done before anything else is asked for
     required, expected = _required(require), [expectation(text) for text in expect or ()]
     common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers}
+    common |= {"start": first, "end": last}
     common |= {"bounds": dict(_bounds(text) for text in bounds or ()), "fixture": fixture}
     alone: dict[str, Any] = {"generations": generations, "population": population, "mutation": mutation}
     alone |= {"selection": selection, "weights": weights, "replacement": replacement, "checkpoint": checkpoint}
@@ -139,7 +142,7 @@ def _required(require: str) -> tuple[str, ...]:
 @contextmanager
 def _failure_published(report: Path | None, *, force: bool, as_json: bool) -> Iterator[None]:
     """If the block raises NoResult, print the JSON object and write the report with the reason."""
-    from hil.api.analysis import NoResult
+    from hil.api.results import NoResult
 
     try:
         yield

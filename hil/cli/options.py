@@ -97,6 +97,11 @@ Rerun = Annotated[
     str, typer.Option(metavar="PLACE", help="Stream the run to Rerun: window, or a file .rrd (hil[view]).")
 ]
 Plot = Annotated[Path | None, typer.Option(help="Also draw pictures (PNG) into this folder.")]
+From = Annotated[
+    str | None,
+    typer.Option("--from", metavar="S", help="Use the rows from this time on, s: 2, '500 ms' [default: all]."),
+]
+To = Annotated[str | None, typer.Option("--to", metavar="S", help="Use the rows up to this time, s.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, the rest on standard error.")]
 
 

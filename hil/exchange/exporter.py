@@ -18,6 +18,7 @@ from hil.exchange.coupling import Coupling
 from hil.exchange.headings import heading
 from hil.exchange.readers.arrow import parquet
 from hil.recording.channels import CHANNELS, ROW
+from hil.recording.interval import Given
 from hil.recording.output import atomic_write
 from hil.recording.reader import Recording
 
@@ -76,11 +77,11 @@ def _suffixes() -> dict[str, tuple[str, ...]]:
     return tables | {name: (one.suffix,) for name, one in models.FORMATS.items()}
 
 
-def export(path: Path, target: Path, *, force: bool = False) -> int:
-    """Write every row and channel of a recording, in SI, and return the number of rows. A NaN becomes an empty cell in
-    CSV.
+def export(given: Given, target: Path, *, force: bool = False) -> int:
+    """Write every row of a recording or a part of it, with every channel in SI, and return the number of rows.
 
-    No digit is lost: `hil import` without column options reads the same numbers back. force: replace an existing file.
+    A NaN becomes an empty cell in CSV. No digit is lost: `hil import` without column options reads the same numbers
+    back. force: replace an existing file.
     Raises WrongUse, and Untrustworthy for a recording that is damaged or was changed.
     """
     name = format_of(target, None)
@@ -89,7 +90,7 @@ def export(path: Path, target: Path, *, force: bool = False) -> int:
     form = TABLES[name]
     if form.check is not None:
         form.check(target)
-    with Recording(path) as recording, atomic_write(target, force=force) as temporary:
+    with Recording(given) as recording, atomic_write(target, force=force) as temporary:
         recording.check_unchanged()
         form.write(recording, temporary)
         return len(recording)

@@ -19,9 +19,9 @@ from hil.exchange.headings import heading, listed
 from hil.exchange.mending import clock, signs
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, of_two, units_of, with_sums
-from hil.exchange.wanted.interval import rows_between
 from hil.exchange.wanted.join import Join
 from hil.recording.channels import CHANNELS
+from hil.recording.interval import rows_between
 from hil.recording.writer import Header, write
 from hil.signals.plausibility import GROSS, Swing, excess, implausible, in_words
 from hil.stand.file import Stand

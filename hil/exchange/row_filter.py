@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, decimal_comma
-from hil.exchange.readers.columns import seconds
+from hil.recording.interval import seconds
 
 _COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] = MappingProxyType(
     {

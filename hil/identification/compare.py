@@ -18,6 +18,7 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
@@ -37,7 +38,7 @@ class Measured:
     estimates of the parameters in COMPARED, by name; {} if the recording could not be used. identifiable: the names of
     the parameters that the recording identifies. model: the fitted model. torque_uncertainty: relative standard
     uncertainty of the torque's scale. This uncertainty widens the intervals of all recordings of a stand in common, and
-    cancels in their differences.
+    cancels in their differences. window: the first and the last time that was used, s; None for all of it.
     """
 
     path: Path
@@ -47,6 +48,7 @@ class Measured:
     estimates: dict[str, Estimate]
     identifiable: frozenset[str]
     torque_uncertainty: float = 0.0
+    window: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,7 @@ class Comparison:
 
 
 def compare(
-    paths: Sequence[Path],
+    given: Sequence[Given],
     model: Coupling | None,
     search: Search,
     progress: Progress | None = None,
@@ -96,18 +98,18 @@ def compare(
     used is left out with a warning. Raises WrongUse for fewer than two recordings, different stands, the same run
     twice, or a model without Kc and Bc.
     """
-    if len(paths) < 2:
+    if len(given) < 2:
         raise WrongUse("a comparison needs at least two recordings")
     if model is not None:
         _check_names(model)
-    with open_sources(paths) as sources:
+    with open_sources(given) as sources:
         diagnostics = same_stand_diagnostics(sources)
         created, imported = zip(*(_origin(source) for source in sources), strict=True)
         if any(imported):
             text = "an imported recording does not say when it was made: no drift is estimated with it"
             diagnostics.append(Diagnostic("time-unknown", text))
         first = min((moment for moment in created if moment is not None), default=None)
-        all_found = identify_each([Task((path,), model, search) for path in paths], progress)
+        all_found = identify_each([Task((one,), model, search) for one in given], progress)
         measured = []
         for source, moment, found in zip(sources, created, all_found, strict=True):
             hours = (moment - first).total_seconds() / _HOUR if moment and first else math.nan
@@ -175,14 +177,14 @@ def _usable(path: Path, found: Result, diagnostics: list[Diagnostic]) -> Identif
 def _measured(
     source: Source, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
 ) -> Measured:
-    scale = source.torque_uncertainty
+    scale, window = source.torque_uncertainty, source.recording.window
     if found is None:
-        return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale)
+        return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale, window)
     estimates = {name: found[name] for name in COMPARED}
     # numbers of one model that lacks something are still comparable with each other
     doubted = {one.parameter for one in found.diagnostics if one.is_error and one.code != "misfit"}
     names = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}
-    return Measured(source.path, created, hours, found.model.name, estimates, frozenset(names), scale)
+    return Measured(source.path, created, hours, found.model.name, estimates, frozenset(names), scale, window)
 
 
 def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:

@@ -15,6 +15,7 @@ from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.identification.user_model import of_package
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.workers.sharing import shared
 
 _WORTH = 10.0  # s that the other recordings would take as long as this one, from which processes are started for them
@@ -25,11 +26,11 @@ _FEWEST = 3  # tasks that are spread
 class Task:
     """One identification to be done.
 
-    recordings: the recordings to pool. model: the model to fit; None for model selection. search: the settings of the
-    search. fixture: the empty rig's recording.
+    recordings: the recordings, or parts of them, to pool. model: the model to fit; None for model selection. search:
+    the settings of the search. fixture: the empty rig's recording.
     """
 
-    recordings: tuple[Path, ...]
+    recordings: tuple[Given, ...]
     model: Coupling | None
     search: Search
     fixture: Path | None = None

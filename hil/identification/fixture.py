@@ -16,6 +16,7 @@ from hil.identification.result import Estimate, Fixture, Identification, interva
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.printable import quoted
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.recording.reader import Recording
 from hil.signals.source import open_sources
 from hil.stand.file import load
@@ -27,7 +28,7 @@ _CORRECTED = ("Kc", "Bc")
 
 
 def identify_without_fixture(
-    paths: Sequence[Path], fixture: Path, model: Coupling | None, search: Search, progress: Progress | None = None
+    given: Sequence[Given], fixture: Path, model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
     """Fit a model to the recordings of the joint and to the empty-rig recording, and remove the fixture's compliance.
 
@@ -36,7 +37,7 @@ def identify_without_fixture(
     Untrustworthy as `without_fixture`.
     """
     _check_names(model)
-    with open_sources([*paths, empty_rig(fixture)]) as (*sources, rig):
+    with open_sources([*given, empty_rig(fixture)]) as (*sources, rig):
         stands = same_stand_diagnostics([sources[0], rig])
         found = identify_sources(sources, model, search, progress)
         held = identify_sources([rig], model, replace(search, checkpoint=None), progress)

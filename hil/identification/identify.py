@@ -7,7 +7,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +38,7 @@ from hil.identification.same_stand import calibration_diagnostics, same_stand_di
 from hil.identification.selection.rivals import beside_doubtful_terms, with_rivals
 from hil.identification.selection.stepwise import Step
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
@@ -52,14 +52,14 @@ _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable mo
 
 
 def identify(
-    paths: Sequence[Path], model: Coupling | None, search: Search, progress: Progress | None = None
+    given: Sequence[Given], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
     """Fit a model to the pooled recordings. model: None for the model that model selection chooses.
 
     Ctrl-C during the search ends only the search: the result so far is returned, with its trials marked as interrupted.
     Raises WrongUse, and Untrustworthy if the recordings cannot be used at all; lesser doubts are in the diagnostics.
     """
-    with compiled_ahead(), open_sources(paths) as sources:
+    with compiled_ahead(), open_sources(given) as sources:
         return identify_sources(sources, model, search, progress)
 
 
@@ -88,8 +88,7 @@ def _identified(
         found = estimates(evidence)
         steps = _with_result(data.choice.steps, found, solution)
         scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
-        differing = disagreement(*scattered)
-        described = _described(data, solution, evidence, differ=bool(differing))
+        described = _described(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
         fit, dynamic = beside_doubtful_terms(tested(described), steps, found), without_model(described)
         found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
@@ -109,6 +108,7 @@ def _identified(
             doubts += wide_intervals(evidence, doubts)
         return Identification(
             recordings=tuple(source.path for source in sources),
+            windows=tuple(source.recording.window for source in sources),
             model=data.choice.model,
             steps=steps,
             preset=search.preset,

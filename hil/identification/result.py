@@ -147,7 +147,8 @@ class Identification:
     stiffness without a model; both None if the recordings are too short. fixture: the fixture whose compliance was
     removed, None if it is assumed rigid. values (p + q,): the exact optimum, SI, for the signals, whose deflections may
     count from another zero than the estimates. fitted (n,): which samples of the signals were fitted. deflection: the
-    errors of the deflection, None if they are too small to have an effect.
+    errors of the deflection, None if they are too small to have an effect. windows: for each recording the first and
+    last time that was used, s, None for all of it.
     """
 
     recordings: tuple[Path, ...]
@@ -168,6 +169,7 @@ class Identification:
     signals: Signals
     values: NDArray[np.float64]
     fitted: NDArray[np.bool_]
+    windows: tuple[tuple[float, float] | None, ...]
     torque_uncertainty: float = 0.0
     lack_of_fit: LackOfFit | None = None
     dynamic_stiffness: DynamicStiffness | None = None

@@ -33,7 +33,6 @@ Every reader here takes both layouts.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
@@ -61,6 +60,7 @@ from hil.recording.integrity import (
     writer_of,
     written_first,
 )
+from hil.recording.interval import Given, Part, path_of, rows_between
 from hil.recording.posix import in_child
 
 SCHEMA = "hil-recording/3"
@@ -95,13 +95,17 @@ class Event(NamedTuple):
 class Recording:
     """An open recording, finished or not. `len(recording)` is the number of rows.
 
-    attributes: those of the file's root. profile: the excitation, with the attribute names of the newest schema.
-    complete: whether the run ended as planned. live: whether the file has the layout of a recording in progress. Raises
-    WrongUse for a file that is no recording or has an unknown schema, Untrustworthy for a damaged recording.
+    given: the file, or a part of it, of which only these rows are read. window: the times of the first and the last of
+    them, s; None for the whole file. attributes: those of the file's root. profile: the excitation, with the attribute
+    names of the newest schema. complete: whether the run ended as planned. live: whether the file has the layout of a
+    recording in progress. Raises WrongUse for a file that is no recording or has an unknown schema, and for a part
+    without rows, Untrustworthy for a damaged recording.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, given: Given) -> None:
+        self.path = path = path_of(given)
+        self.window: tuple[float, float] | None = None
+        self._first = 0
         self._absent: frozenset[str] = frozenset()
         self._damaged: NDArray[np.int64] = np.empty(0, dtype=np.int64)
         check_regular(path)
@@ -112,9 +116,20 @@ class Recording:
                 self._length = self._read_header()
                 if self.live:
                     self._length = self._count_live()
+            self._whole = self._length
+            if isinstance(given, Part) and given[1:] != (None, None):
+                self._narrow(given)
         except BaseException:
             self._file.close()
             raise
+
+    def _narrow(self, part: Part) -> None:
+        """Leave only the rows from the first to the last one between two times. Raises WrongUse if there are none."""
+        blocks = range(0, self._whole, BLOCK)
+        time = np.concatenate([np.empty(0), *(self.channel("time", start, start + BLOCK) for start in blocks)])
+        kept = np.flatnonzero(rows_between(self.path, time, 1.0, part.first, part.last))
+        self._first, self._length = int(kept[0]), int(kept[-1] + 1 - kept[0])
+        self.window = float(time[kept[0]]), float(time[kept[-1]])
 
     @property
     def imported(self) -> bool:
@@ -176,13 +191,17 @@ class Recording:
         """Yield all rows in order, in blocks of `block` rows, each with the index of its first row. Raises
         Untrustworthy.
         """
-        for start in range(0, self._length, block):
-            stop = min(start + block, self._length)
+        return self._rows(self._first, self._first + self._length, block)
+
+    def _rows(self, first: int, end: int, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
+        """Yield the rows of the file from `first` to before `end` as `rows` does."""
+        for start in range(first, end, block):
+            stop = min(start + block, end)
             source = self._live_rows(start, stop) if self.live else None
             rows = np.empty(stop - start, dtype=ROW)
             for name in CHANNELS:
                 rows[name] = self._column(name, start, stop) if source is None else source[name]
-            yield start, rows
+            yield start - first, rows
 
     def channel(self, name: str, start: int = 0, stop: int | None = None) -> Array:
         """Return rows `start` to `stop` (None: to the end) of one channel, (n,) float64 in its SI unit.
@@ -190,7 +209,7 @@ class Recording:
         Raises Untrustworthy if the file is damaged.
         """
         stop = self._length if stop is None else min(stop, self._length)
-        return np.asarray(self._column(name, start, stop), dtype=np.float64)
+        return np.asarray(self._column(name, self._first + start, self._first + stop), dtype=np.float64)
 
     def events(self) -> list[Event]:
         """Return the events of the run in order. Raises WrongUse for a damaged file."""
@@ -246,7 +265,7 @@ class Recording:
         present = [name for name in CHANNELS if name not in self._absent]
         if stored_hash(self._group("samples"), present) == (self._stated("sha256_stored") or None):
             return True  # what is decompressed from the same bytes is the same: that takes twenty times as long
-        return rows_hash(ahead(self.rows()), present, self._length, progress) == self._stated("sha256")
+        return rows_hash(ahead(self._rows(0, self._whole)), present, self._whole, progress) == self._stated("sha256")
 
     def _column(self, name: str, start: int, stop: int) -> Any:
         if self.live:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
+from hil.recording.interval import named
 from hil.report.chart import Band, Chart, Panel, with_intervals
 from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
 from hil.report.html_page import Page, Picture, Section, write
@@ -34,6 +35,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
 def _recording(one: Measured) -> dict[str, Any]:
     return {
         "path": str(one.path),
+        "window": None if one.window is None else list(one.window),
         "created": None if one.created is None else one.created.isoformat(),
         "hours": json_number(one.hours),
         "model": one.model,
@@ -87,7 +89,7 @@ def _headings(found: Comparison) -> list[str]:
 def _recording_rows(found: Comparison) -> list[list[str]]:
     return [
         [
-            str(one.path),
+            named(one.path, one.window),
             f"{one.hours:.3g}" if math.isfinite(one.hours) else "unknown",
             *(_cell(found, one, name) for name in COMPARED),
         ]

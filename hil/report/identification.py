@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.recording.interval import named
 from hil.report.deflection import deflection_lines
 from hil.report.formatting import people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_table
@@ -132,6 +133,7 @@ def identification_lines(found: Identification) -> list[str]:
     """
     factor, unit = people_unit("N*m", milli=milli(found))
     return [
+        *_window_lines(found),
         f"mean |torque error| {found.optimum * factor:.5g} {unit}; best trial {found.fitness * factor:.5g} {unit}; "
         f"optimiser gap {found.optimiser_gap:.1e}",
         f"validation on 20 % held-out data: mean |torque error| {found.validation.fitness * factor:.3g} {unit}; "
@@ -164,6 +166,7 @@ def summary_lines(found: Identification) -> list[str]:
     lost = f", {found.signals.defects.lost} lost replies left out" if found.signals.defects.lost else ""
     return [
         f"model {found.model.name}{chosen}" + (f": {',  '.join(others)}" if others else ""),
+        *_window_lines(found),
         f"mean |torque error| {found.optimum * factor:.3g} {unit} over {found.samples} samples{lost}; "
         f"r.m.s. error {found.validation.nrmse:.2%} of the torque on held-out data; "
         f"optimiser gap {found.optimiser_gap:.1e}",
@@ -189,6 +192,12 @@ def _truth_line(found: Identification, estimate: Estimate, true: float) -> str:
     _, _, interval, _ = printed(found, estimate)
     said = f"true {estimate.name} of the simulated joint: {with_unit(f'{true * factor:.5g}', unit)}"
     return f"{said}; the interval, {interval}, {holds} it"
+
+
+def _window_lines(found: Identification) -> list[str]:
+    """Return a line that names the parts of the recordings that were used, none if all rows were."""
+    used = [named(*one) for one in zip(found.recordings, found.windows, strict=True) if one[1] is not None]
+    return [f"only a part was used: {', '.join(used)}"] if used else []
 
 
 def _choice_lines(found: Identification) -> list[str]:

@@ -26,6 +26,7 @@ def as_json(found: Identification) -> dict[str, Any]:
     """Return the JSON object of `hil identify --json`, SI units; a number that is not finite is null."""
     return {
         **_head(found.recordings, found.model.name, found.preset, found.seed),
+        "windows": [None if one is None else list(one) for one in found.windows],
         "parameters": {
             estimate.name: _parameter(estimate) | {"trusted": found.trusted(estimate.name)}
             for estimate in found.estimates

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import units_of
+from hil.recording.interval import named
 from hil.recording.reader import Recording
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
@@ -37,7 +38,7 @@ def write_page(found: Identification, path: Path, command: str = "", *, force: b
     """Write the report of a result to `path` and return the path. command: the command line, for the report. Raises
     WrongUse.
     """
-    names = ", ".join(str(recording) for recording in found.recordings)
+    names = ", ".join(map(named, found.recordings, found.windows))
     answer = headline(found)
     page = Page(
         title=f"{', '.join(recording.name for recording in found.recordings)}: {answer}",

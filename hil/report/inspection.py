@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from hil.recording.interval import named
 from hil.report.formatting import diagnostics_json, engineering, json_number
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def inspection_table(seen: Inspection) -> Table:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(f"{seen.path}: {seen.kind}, {seen.end_reason}"), show_header=False)
+    table = Table(title=Text(f"{named(seen.path, seen.window)}: {seen.kind}, {seen.end_reason}"), show_header=False)
     rows = {
         "samples": f"{seen.samples} over {seen.duration:.3g} s",
         "rate": f"{seen.rate:.5g} Hz, 99 % of intervals within {engineering(seen.jitter, 's')} of it",

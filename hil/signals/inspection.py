@@ -10,6 +10,7 @@ import numpy as np
 
 from hil.diagnostics import Diagnostic
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
@@ -22,15 +23,17 @@ _LONG = 500_000  # rows of a recording whose signals take more than a moment
 class Inspection:
     """The summary of a recording.
 
-    lateness: delay of the rows after their set-points' times, s: median, 99 % and largest, NaN if not stored. missed:
-    number of skipped ticks. rate: median sampling rate, Hz. jitter: 99 % of the intervals differ from the median by no
-    more than this, s. longest_gap: s. deflection, rad, and torque, N m: peak to peak. deflection_lsb: the smallest step
-    between readings, rad. torque_noise: standard deviation of the torque about a local polynomial, N m. snr: ratio of
-    the torque's variance to that noise's, dB. band: the excited band, Hz. rate_window: width of the window from which
-    the rate is computed, s. calibrated: the dates, ISO 8601, of the calibrations in use, by name.
+    window: the first and the last time, s, if only a part was read. lateness: delay of the rows after their set-points'
+    times, s: median, 99 % and largest, NaN if not stored. missed: number of skipped ticks. rate: median sampling rate,
+    Hz. jitter: 99 % of the intervals differ from the median by no more than this, s. longest_gap: s. deflection, rad,
+    and torque, N m: peak to peak. deflection_lsb: the smallest step between readings, rad. torque_noise: standard
+    deviation of the torque about a local polynomial, N m. snr: ratio of the torque's variance to that noise's, dB.
+    band: the excited band, Hz. rate_window: width of the window from which the rate is computed, s. calibrated: the
+    dates, ISO 8601, of the calibrations in use, by name.
     """
 
     path: Path
+    window: tuple[float, float] | None
     kind: str
     created: str
     end_reason: str
@@ -62,13 +65,13 @@ class Inspection:
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
 
-def inspect(path: Path, progress: Progress | None = None) -> Inspection:
-    """Summarise one recording, finished or not.
+def inspect(given: Given, progress: Progress | None = None) -> Inspection:
+    """Summarise one recording, finished or not, or a part of it.
 
     progress: a function that is called with a phase and the fraction done, NaN if unknown. Raises WrongUse, and
     Untrustworthy if no signals can be computed.
     """
-    with open_sources([path]) as (source,):
+    with open_sources([given]) as (source,):
         source.verify(progress)
         recording = source.recording
         if progress is not None and len(recording) > _LONG:
@@ -81,7 +84,8 @@ def inspect(path: Path, progress: Progress | None = None) -> Inspection:
         stamps = stamps[np.isfinite(stamps)]
         quality = assess(recording, [signals], signals.defects)
         return Inspection(
-            path=path,
+            path=recording.path,
+            window=recording.window,
             kind=str(recording.profile.get("kind", "unknown")),
             created=str(recording.attributes.get("created", "")),
             end_reason=str(recording.attributes.get("end_reason", "")) or "did not end",

@@ -10,6 +10,7 @@ from pathlib import Path
 from hil.errors import Untrustworthy
 from hil.printable import quoted
 from hil.recording.ahead import Progress
+from hil.recording.interval import Given
 from hil.recording.reader import Recording
 from hil.stand.file import LimitsTable, Stand, StandTable, parse
 
@@ -56,12 +57,12 @@ class Source:
 
 
 @contextmanager
-def open_sources(paths: Sequence[Path]) -> Iterator[list[Source]]:
-    """Open the recordings at `paths`. Raises WrongUse and Untrustworthy as `Recording` and `hil.stand.file.parse`."""
+def open_sources(given: Sequence[Given]) -> Iterator[list[Source]]:
+    """Open recordings or parts of them. Raises WrongUse and Untrustworthy as `Recording` and `hil.stand.file.parse`."""
     with ExitStack() as stack:
         sources = []
-        for path in paths:
-            recording = stack.enter_context(Recording(path))
+        for one in given:
+            recording = stack.enter_context(Recording(one))
             text = recording.stand_toml
-            sources.append(Source(recording, parse(text, f"{path}: stand_toml") if text else None))
+            sources.append(Source(recording, parse(text, f"{recording.path}: stand_toml") if text else None))
         yield sources

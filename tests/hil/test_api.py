@@ -163,6 +163,63 @@ def test_one_sample_both_or_neither_are_refused(make_recording: Maker) -> None:
         api.identify(time=[1.0], torque=[1.0], dtheta=[1.0])
 
 
+def test_a_part_of_a_recording_gives_what_a_recording_of_that_part_gives(hil: Hil, make_recording: Maker) -> None:
+    whole = make_recording(noise=2e-4, change=lambda channels: channels["torque"][:500].__imul__(3.0))
+    part = api.load(whole, start=1.0, end=3.998)
+    assert (len(part), part.window) == (1500, (1.0, 3.998))
+    alone: dict[str, Any] = {name: part[name] for name in ("time", "torque", "dtheta")}
+    wanted = api.identify(**alone, model="linear", trials=1).as_json()
+    words = ("--from", "1000 ms", "--to", 3.998)
+    by_command = hil("identify", whole, *words, "--model", "linear", "--trials", 1, "--json").json
+    for found in (
+        api.identify(whole, "linear", trials=1, start="1 s", end=3.998).as_json(),
+        api.identify(part, "linear", trials=1).as_json(),
+        api.identify_each([whole], "linear", trials=1, start=pint.Quantity("1000 ms"), end=3.999)[0].as_json(),
+        by_command,
+    ):
+        assert found["windows"] == [[1.0, 3.998]]
+        assert (found["parameters"], found["samples"]) == (wanted["parameters"], wanted["samples"])
+    assert wanted["windows"] == [None]
+    assert "only a part was used" in hil("identify", whole, *words, "--model", "linear", "--trials", 1).out
+    other = make_recording("b.h5", noise=2e-4, seed=1)
+    compared = hil("compare", whole, other, *words, "--model", "linear", "--trials", 1, "--json").json
+    assert compared["recordings"][0]["parameters"]["Kc"]["value"] == wanted["parameters"]["Kc"]["value"]
+    assert hil("export", whole, "-o", "w.csv", *words).out.strip() == "w.csv: 1500 rows"
+    assert hil("inspect", whole, *words, "--json").json["samples"] == 1500
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "said"),
+    [
+        (30, None, "no row is between --from and --to"),
+        (None, -1, "no row is between --from and --to"),
+        (0.0011, 0.0019, "no row is between --from and --to"),
+        (3, "2 s", "--from 3 s is after --to 2 s"),
+        ("nan", None, "--from: 'nan' is not a number"),
+        ("0,5", None, "has a decimal comma: write 0.5"),
+        ("2 mm", None, "'mm' is not a unit of time"),
+    ],
+)
+def test_a_window_without_rows_is_refused_with_the_times_of_the_recording(
+    hil: Hil, make_recording: Maker, first: Any, last: Any, said: str
+) -> None:
+    path = make_recording(samples=500)
+    words = [word for option, at in (("--from", first), ("--to", last)) if at is not None for word in (option, at)]
+    for command in (("identify",), ("inspect",), ("export", "-o", "a.csv")):
+        ended = hil(command[0], path, *command[1:], *words)
+        assert ended.status == 2
+        assert said in ended.err
+        assert "its times are from 0 s to 0.998 s" in ended.err
+
+
+@pytest.mark.parametrize("bound", [math.nan, math.inf, [1.0], True, b"1", pint.Quantity("2 m")])
+def test_a_time_that_is_none_is_refused_with_the_times_of_the_recording(make_recording: Maker, bound: Any) -> None:
+    path = make_recording(samples=500)
+    for call in (api.load, api.identify):
+        with pytest.raises(api.WrongUse, match=r"is no time.*its times are from 0 s to 0.998 s"):
+            call(path, end=bound)
+
+
 def test_the_version_is_that_of_the_package() -> None:
     assert api.__version__ == version("hil")
 

@@ -14,6 +14,8 @@ from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_table, 
 
 def compare(
     recordings: Annotated[list[Path], typer.Argument(help="Two or more recordings of one joint on one stand.")],
+    first: options.From = None,
+    last: options.To = None,
     model: options.Model = "auto",
     trials: Annotated[int | None, typer.Option(min=1, help="Independent searches for each recording.")] = None,
     seed: options.Seed = options.DEFAULT_SEED,
@@ -28,7 +30,9 @@ def compare(
 
     options.check_report(report, recordings, force=force)
     with progress() as show:
-        found = analysis.compare(recordings, model=model, trials=trials, seed=seed, workers=workers, progress=show)
+        found = analysis.compare(
+            recordings, start=first, end=last, model=model, trials=trials, seed=seed, workers=workers, progress=show
+        )
     if as_json:
         print_json(found.as_json())
     else:

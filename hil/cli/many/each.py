@@ -14,7 +14,7 @@ from hil.cli.terminal import UNTRUSTWORTHY, out, print_diagnostics, print_json, 
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
-    from hil.api.analysis import IdentificationResult
+    from hil.api.results import IdentificationResult
 
 
 def refuse_with_each(given: Mapping[str, Any]) -> None:
@@ -38,8 +38,8 @@ def identify_each(
     recordings: Sequence[Path], model: str | None, options: dict[str, Any], required: tuple[str, ...], *, as_json: bool
 ) -> None:
     """Print the result of each recording, and end with the exit status of the worst result."""
-    from hil.api.analysis import NoResult
     from hil.api.analysis import identify_each as identify
+    from hil.api.results import NoResult
 
     with progress() as show:
         found = identify(recordings, model, progress=show, **options)

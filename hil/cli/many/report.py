@@ -21,7 +21,8 @@ def report(
     force: options.Force = False,
 ) -> None:
     """Join many recordings in one page: Kc and Bc of each, its fit, and the warnings."""
-    from hil.api.analysis import NoResult, identify_each
+    from hil.api.analysis import identify_each
+    from hil.api.results import NoResult
     from hil.recording.output import check_output
     from hil.report.html_page import check_page_name
     from hil.report.joined_page import Entry, verdict, write_page

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, date, datetime, time
 from functools import partial
 from itertools import islice, product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hil.recording.interval import seconds
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Callable[[], Any]]
@@ -95,17 +96,6 @@ def plain(values: list[Any]) -> NDArray[Any]:
     return np.array(["" if one is None else str(one) for one in values])
 
 
-def seconds(value: Any) -> float | None:
-    """Return a date with a time of day, or a time of day alone (ISO 8601), in s; None if the value is neither."""
-    if isinstance(value, time):
-        value = datetime.combine(date(1970, 1, 1), value)
-    if isinstance(value, str):
-        value = _parsed(value.strip()) if ":" in value else None
-    if not isinstance(value, datetime):
-        return None
-    return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
-
-
 def numbers(values: Any) -> Array | None:
     """Return a column (n,) as numbers, dates and times in s; None if it holds anything else."""
     found = np.asarray(values)
@@ -114,15 +104,6 @@ def numbers(values: Any) -> Array | None:
     if found.dtype.kind == "m":
         return np.asarray(found / _SECOND, dtype=np.float64)
     return np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None
-
-
-def _parsed(text: str) -> datetime | None:
-    for written in (text, f"1970-01-01 {text}"):
-        try:
-            return datetime.fromisoformat(written)
-        except ValueError:
-            continue
-    return None
 
 
 def _stamps(values: list[Any]) -> Array:

@@ -1,0 +1,201 @@
+"""The results of `hil.identify` and `hil.compare`: numbers, tables, pictures and reports."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnostics import Diagnostic
+from hil.errors import Untrustworthy
+from hil.identification.compare import Comparison, Repeated
+from hil.identification.result import Estimate, Identification
+from hil.report import comparison as comparison_report
+from hil.report import identification as identification_report
+from hil.report import identification_json, identification_page
+from hil.report.html_page import table_lines, table_rows
+from hil.report.pictures import canvas, files, result
+from hil.report.pictures.traces import modelled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+
+AnyPath = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationResult:
+    """The result of `identify`: Kc, Bc and the other parameters of the model.
+
+    `str(result)` is the answer in one line, `result["Kc"]` is one parameter. identification: all numbers and signals of
+    the result.
+    """
+
+    identification: Identification
+
+    def __getitem__(self, name: str) -> Estimate:
+        try:
+            return self.parameters[name]
+        except KeyError:
+            raise KeyError(f"no parameter {name!r}; the model has {', '.join(self.parameters)}") from None
+
+    def __str__(self) -> str:
+        return identification_report.headline(self.identification)
+
+    def __repr__(self) -> str:
+        return f"<{self}; {self.model}>"
+
+    @property
+    def parameters(self) -> Mapping[str, Estimate]:
+        """The parameters by name, each with its value, unit and 95 % interval, SI."""
+        return MappingProxyType({estimate.name: estimate for estimate in self.identification.estimates})
+
+    @property
+    def model(self) -> str:
+        """The name of the model: its terms joined with +."""
+        return self.identification.model.name
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """The warnings and errors about the result, each with a remedy."""
+        return self.identification.diagnostics
+
+    @property
+    def trustworthy(self) -> bool:
+        """Return whether the diagnostics contain no error."""
+        return self.identification.trustworthy
+
+    def trusted(self, name: str) -> bool:
+        """Return whether a parameter, "Kc" or "Bc", may be trusted: the data identifies it, and no error is about
+        it.
+        """
+        return self.identification.trusted(name)
+
+    @property
+    def interrupted(self) -> bool:
+        """Return whether Ctrl-C ended the search early; then the result is the best that the search had reached."""
+        return self.identification.trials.interrupted
+
+    @property
+    def dynamic_stiffness(self) -> DynamicStiffness | None:
+        """Stiffness and damping over frequency, estimated without a model; None if the recording is too short."""
+        return self.identification.dynamic_stiffness
+
+    @property
+    def predicted(self) -> NDArray[np.float64]:
+        """The model's torque at the joint (n,), N m, for each row that was used."""
+        return modelled(self.identification)
+
+    @property
+    def residuals(self) -> NDArray[np.float64]:
+        """Measured torque minus the model's torque (n,), N m, for each row that was used."""
+        return np.asarray(self.identification.signals.torque - self.predicted)
+
+    def summary(self) -> str:
+        """Return the answer, the table of the parameters, the warnings and the quality of the fit as text."""
+        lines = identification_report.identification_lines(self.identification)
+        return "\n".join([str(self), *table_lines(self._rows()), *(f"{one}" for one in self.diagnostics), *lines])
+
+    def _repr_html_(self) -> str:
+        """Return the answer and the table of the parameters for a notebook."""
+        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
+        table = "".join(f"<tr>{row}</tr>" for row in rows)
+        said = "".join(f"<p>{escape(str(one))}</p>" for one in self.diagnostics)
+        return f"<p><b>{escape(str(self))}</b></p><table>{table}</table>{said}"
+
+    def _rows(self) -> list[list[str]]:
+        return table_rows(identification_report.estimates_table(self.identification))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil identify --json`."""
+        return identification_json.as_json(self.identification)
+
+    def plot(self) -> Figure:
+        """Return a figure: measured and modelled torque, residuals, the torque-deflection loop and the diagnostic
+        checks.
+        """
+        return result.figure(self.identification)
+
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the HTML report to `path` and return the path. Raises WrongUse.
+
+        command: the command or script that made the result, printed in the report. force: replace an existing file.
+        """
+        return identification_page.write_page(self.identification, Path(path), command, force=force)
+
+    def save_plots(self, folder: AnyPath, *, force: bool = False) -> list[Path]:
+        """Write every picture of the report as a PNG into a folder, and return their paths. Raises WrongUse."""
+        return files.write_pictures(result.pictures(self.identification), Path(folder), force=force)
+
+
+class NoResult(Untrustworthy):
+    """The error for recordings from which nothing could be identified; the message says why."""
+
+    def __init__(self, reason: str, recordings: Sequence[Path], model: str, preset: str, seed: int) -> None:
+        super().__init__(reason)
+        self.recordings, self.model, self.preset, self.seed = tuple(recordings), model, preset, seed
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil identify --json` for a failure: every value is null."""
+        return identification_json.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
+
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write an HTML report that says why there is no result, and return its path. Raises WrongUse.
+
+        command: the command or script that was run. force: replace an existing file.
+        """
+        return identification_page.write_failure(
+            str(self), self.recordings, self.as_json(), Path(path), command, force=force
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonResult:
+    """The result of `compare`: Kc and Bc of several recordings. `str(result)` is the answer in one line.
+
+    comparison: all numbers of the result.
+    """
+
+    comparison: Comparison
+
+    def __getitem__(self, name: str) -> Repeated:
+        return next(parameter for parameter in self.comparison.parameters if parameter.name == name)
+
+    def __str__(self) -> str:
+        return "\n".join(parameter.verdict for parameter in self.comparison.parameters)
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """The warnings and errors about the comparison, each with a remedy."""
+        return self.comparison.diagnostics
+
+    @property
+    def trustworthy(self) -> bool:
+        """Return whether the diagnostics contain no error."""
+        return self.comparison.trustworthy
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON object of `hil compare --json`."""
+        return comparison_report.as_json(self.comparison)
+
+    def plot(self) -> Figure:
+        """Return a figure: each parameter over the recordings with its interval, and the interval of all recordings
+        together.
+        """
+        return canvas.drawn(comparison_report.chart(self.comparison))
+
+    def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
+        """Write the HTML report to `path` and return the path. Raises WrongUse.
+
+        command: the command or script that made the result, printed in the report. force: replace an existing file.
+        """
+        return comparison_report.write_page(self.comparison, Path(path), command, force=force)
