@@ -17,6 +17,10 @@ class WrongUse(Exception):
     """The request cannot be carried out: the message says what is wrong, where, and what to do (exit status 2)."""
 
 
+class Declined(WrongUse):
+    """A person was asked whether the motor may move, and did not agree."""
+
+
 class Untrustworthy(Exception):
     """The data was read, but no result from this data could be trusted (exit status 1)."""
 

@@ -9,13 +9,16 @@ and the stand file, which other users and computers read too.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from drivers.servo import Quantity, ServoInfo
-from hil.acquisition.drive_memory import DriveMemory, file_name
+from hil.acquisition.drive_memory import StoredFacts, file_name
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
@@ -28,6 +31,8 @@ SHARE = 0.5
 """The fraction of the torque limit that a drive without commissioning may use."""
 NOTHING_TURNS = frozenset({"sim", "replay"})
 """Backends without a real motor, which need no commissioning."""
+_PLACE = ("model", "port", "interface", "channel", "id")
+"""The keys of a drive's table that tell a person which motor it is."""
 _DAY = 86400.0
 
 
@@ -67,7 +72,7 @@ class Commissioning:
         passed = self.releases and self.stops_ours
         keeps = not self.releases or (not passed and _kept_torque(stand, info, mode))
         name = _name_in_stand(info, mode)
-        memory = DriveMemory("commissioning", info, mode)
+        memory = StoredFacts.of_drive("commissioning", info, mode)
         try:
             if stand.path is not None and keeps != stand.keeps_torque.get(name, False):
                 update(stand.path, {"keeps_torque": {name: keeps}})
@@ -77,7 +82,7 @@ class Commissioning:
                 "another user would not know it: make the file writable and commission the drive again"
             ) from None
         finally:
-            memory.keep(asdict(self) | {"keeps_torque": keeps})
+            memory.keep(asdict(self) | {"keeps_torque": keeps, "stand": _drive_of(stand, mode)})
         return memory.path
 
 
@@ -94,7 +99,7 @@ def _kept_torque(stand: Stand, info: ServoInfo, mode: Quantity) -> bool:
     if stand.keeps_torque.get(_name_in_stand(info, mode), False):
         return True
     try:
-        memory = DriveMemory("commissioning", info, mode)
+        memory = StoredFacts.of_drive("commissioning", info, mode)
     except WrongUse:  # a user without a home has never stored a test
         return False
     try:
@@ -117,15 +122,74 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
     """Return the drive's stored result if it is valid today. Return None if there is no result, or its file is
     unusable.
     """
-    with suppress(OSError, ValueError, KeyError, TypeError, WrongUse):
-        kept = DriveMemory("commissioning", info, mode).load() or {}
-        found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
-        age = time.time() - found.time
-        same = (found.firmware, found.watchdog) == (info.firmware, info.watchdog)
-        truths = isinstance(found.releases, bool) and isinstance(found.second_signal, bool)
-        if same and truths and -_DAY < age < DAYS * _DAY:
+    with suppress(OSError, ValueError, WrongUse):
+        found = _valid_today(StoredFacts.of_drive("commissioning", info, mode).load() or {})
+        if found is not None and (found.firmware, found.watchdog) == (info.firmware, info.watchdog):
             return found
     return None
+
+
+def _valid_today(kept: Mapping[str, Any]) -> Commissioning | None:
+    """Return the result in the fields of a file, None if they are damaged or not of the last 30 days."""
+    with suppress(KeyError, TypeError):
+        found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
+        age = time.time() - found.time
+        truths = isinstance(found.releases, bool) and isinstance(found.second_signal, bool)
+        if truths and -_DAY < age < DAYS * _DAY:
+            return found
+    return None
+
+
+Agree = Callable[[str], object]
+"""Gets the announcement of a motion, and returns if a person agrees to it; it raises WrongUse otherwise."""
+
+
+def require_agreement(stand: Stand, mode: Quantity, motion: str, agree: Agree | None) -> None:
+    """Call `agree` before a real motor moves for the first time; then keep that a person agreed to this stand file.
+
+    Nobody is asked if nothing real moves, if a person agreed to this text of the stand file before, or if the
+    commissioning of its drive is valid today. motion: what the motor will do. agree: None asks nobody and keeps
+    nothing. Raises as `agree`.
+    """
+    if agree is None or stand.stand.backend in NOTHING_TURNS:
+        return
+    memory = None
+    with suppress(WrongUse, OSError):  # without a folder for it, nothing is kept and every run asks
+        memory = StoredFacts("agreed", str(stand.stand.backend), sha256(stand.text.encode()).hexdigest())
+        if memory.path.exists() or _is_commissioned(memory.path.parents[1], _drive_of(stand, mode)):
+            return
+    agree(f"{announcement(stand, motion)} hil asks this once for each stand file.")
+    with suppress(WrongUse):
+        if memory is not None:
+            memory.keep({"time": time.time()})
+
+
+def announcement(stand: Stand, motion: str) -> str:
+    """Return what a person reads before the motor moves: which motor, on which port, and what it will do."""
+    backend = str(stand.stand.backend)
+    table = stand.devices.get(backend)
+    place = ", ".join(f"{key} {getattr(table, key)}" for key in _PLACE if hasattr(table, key))
+    return (
+        f"The motor of {stand.stand.name!r} ({backend}{place and ', '}{place}) {motion} Lock the joint, take your "
+        "hands off, and keep the emergency stop within reach."
+    )
+
+
+def _drive_of(stand: Stand, mode: Quantity) -> str:
+    """Return a hash of what the stand file says of its drive: the same in all stand files with this drive and mode."""
+    backend = str(stand.stand.backend)
+    return sha256(repr((backend, stand.devices.get(backend), str(mode))).encode()).hexdigest()
+
+
+def _is_commissioned(state: Path, drive: str) -> bool:
+    """Return whether the folder `state` has a valid result for the drive with this `_drive_of`. No drive is opened."""
+    for path in (state / "commissioning").glob("*.json"):
+        with suppress(OSError, ValueError, RecursionError, WrongUse):
+            kept = StoredFacts("commissioning", path.stem).load() or {}
+            found = _valid_today(kept)
+            if found is not None and found.stops_ours and found.releases and kept.get("stand") == drive:
+                return True
+    return False
 
 
 def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, list[Diagnostic]]:

@@ -1,4 +1,4 @@
-"""Facts about one drive that are kept between runs, in a small file in the user's state folder."""
+"""Facts about one drive or stand that are kept between runs, in a small file in the user's state folder."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from drivers.servo import ServoInfo
 from hil.errors import WrongUse
@@ -17,17 +17,20 @@ from hil.recording.output import atomic_write
 _LARGEST = 4096  # bytes of a file
 
 
-class DriveMemory:
-    """A file that keeps facts of one kind about one drive between runs.
+class StoredFacts:
+    """A file that keeps facts of one kind about one thing between runs.
 
-    kind: what the file is about; the name of its folder. info: the drive. also: more words that distinguish this file
-    from other files of the same drive. path: `$XDG_STATE_HOME/hil/KIND/DRIVE.json`. Raises WrongUse if the user has no
-    folder for such files.
+    kind: what the facts are about; the name of the folder. words: they name the thing. path:
+    `$XDG_STATE_HOME/hil/KIND/WORDS.json`. Raises WrongUse if the user has no folder for such files.
     """
 
-    def __init__(self, kind: str, info: ServoInfo, *also: str) -> None:
-        name = file_name(info.backend, info.model, info.serial, *also)
-        self.path = _state_folder() / "hil" / kind / f"{name}.json"
+    def __init__(self, kind: str, *words: str) -> None:
+        self.path = _state_folder() / "hil" / kind / f"{file_name(*words)}.json"
+
+    @classmethod
+    def of_drive(cls, kind: str, info: ServoInfo, *also: str) -> Self:
+        """Return the memory of the drive `info`. also: words that distinguish several files of the same drive."""
+        return cls(kind, info.backend, info.model, info.serial, *also)
 
     def load(self) -> dict[str, Any] | None:
         """Return the stored fields, None if nothing was stored. Raises WrongUse or ValueError if the file cannot be

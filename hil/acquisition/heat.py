@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.servo import Quantity, Sample, ServoInfo
-from hil.acquisition.drive_memory import DriveMemory
+from hil.acquisition.drive_memory import StoredFacts
 from hil.acquisition.excitation import Profile
 from hil.acquisition.limits import AtJoint, LimitReached
 from hil.errors import WrongUse
@@ -47,7 +47,7 @@ class HeatMemory:
     """
 
     def __init__(self, info: ServoInfo) -> None:
-        self._memory = DriveMemory("heat", info)
+        self._memory = StoredFacts.of_drive("heat", info)
 
     def load(self, model: WindingModel, now: float) -> Temperatures:
         """Return the temperatures at `now`, s since 1970: those at the end of the last run, after the cooling since

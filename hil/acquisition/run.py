@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.clock import MonotonicClock
-from drivers.servo import Servo
-from hil.acquisition.commissioning import permitted
+from drivers.servo import Quantity, Servo
+from hil.acquisition.commissioning import Agree, permitted, require_agreement
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
@@ -66,26 +66,27 @@ def run(
     alarm: Callable[[str], object] | None = None,
     faults: FaultPlan | None = None,
     warn: Callable[[list[Diagnostic]], object] = lambda _: None,
+    agree: Agree | None = None,
 ) -> tuple[Path, Outcome]:
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
-    Return the path of the recording and the outcome of the run. On every path the torque is switched off and the servo
-    is closed.
+    Return the recording's path and the outcome of the run. On every path the torque is off and the servo closed.
 
     seed: of the simulator. realtime: whether a simulated stand runs in wall time. note, command_line: texts stored in
     the recording. force: replace an existing recording of that name, finished or not. guardian: whether a second
     process switches the torque off if this one is killed, frozen or late. rerun: "window" or a file .rrd, in which
     Rerun shows the run; "" for neither. alarm: called with a sentence if the torque may still be on, before the file is
-    made final. faults: planned faults of a simulated stand. warn: called with the warnings about the opened drive,
-    before anything moves. Raises WrongUse before anything moves, DriverError if the servo cannot be opened.
+    made final. faults: planned faults of a simulated stand. warn: called with the warnings about the opened drive.
+    agree: called before anything is opened if a real motor moves for the first time; it raises to refuse. Raises
+    WrongUse before anything moves, DriverError if the servo cannot be opened.
     """
-    host = FaultyHost()
+    host, outcome = FaultyHost(), Outcome()
     output = _checked(stand, output, rerun, force=force)
     if faults is not None and "disk-frozen" in faults.kinds() and not realtime:
         raise WrongUse("disk-frozen: this fault has no effect in virtual time: add --realtime")
+    require_agreement(stand, profile.mode, _motion(stand, profile), agree)
     with StopRequest().listening() as stop:
         servo, truth = _opened(stand, profile, (faults, host), seed=seed, realtime=realtime, guardian=guardian)
-        outcome = Outcome()
         try:
             allowed = _allowed(stand, servo, profile, warn)
             header = Header(
@@ -109,6 +110,14 @@ def run(
             _close_servo(servo, outcome)
         _raise_alarm(writer, outcome, alarm)
         return _finish(writer, outcome, force=force), outcome
+
+
+def _motion(stand: Stand, profile: Profile) -> str:
+    """Return what the motor will do, in the words of an announcement."""
+    size = f"with up to {profile.amplitude:g} N m"
+    if profile.mode is Quantity.POSITION:
+        size = f"by up to {profile.amplitude:g} rad with at most {stand.checked_limits().torque:g} N m"
+    return f"will move {size} at the joint for {profile.duration:g} s."
 
 
 def _opened(

@@ -110,26 +110,25 @@ def record(
     command_line: str = "",
     warn: Callable[[Sequence[Diagnostic]], object] | None = None,
     alarm: Callable[[str], object] | None = None,
+    agree: Callable[[str], object] | None = None,
     ended: Callable[[Run], object] | None = None,
 ) -> Run:
     """Drive the motor of `stand` through an excitation against the locked joint, and record it.
 
     amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: sampling rate,
     Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: the CSV for
-    profile "file". seed: for everything random. realtime: run a simulated stand in wall time. note, command_line: texts
-    stored in the recording. output: the recording's path (None: the next free recordings/runN.h5). force: replace an
-    existing file. guardian: whether a second process switches a real drive's torque off if this process is killed,
-    frozen or late. faults: a TOML file with planned faults of a simulated stand (docs/reliability.md). rerun: "window"
-    or a file .rrd, for Rerun. warn: called with the warnings known before anything moves. alarm: called at once with a
-    sentence if the torque may still be on. ended: called with the run before the fault that ended it is raised.
+    profile "file". seed: for everything random. realtime: a simulated stand runs in wall time. note, command_line:
+    texts stored in the recording. output: its path (None: the next free recordings/runN.h5). force: replace a file.
+    guardian: whether a second process switches a real drive's torque off if this process is killed, frozen or late.
+    faults: a TOML file with planned faults of a simulated stand. rerun: "window" or a file .rrd, for Rerun. warn:
+    called with the warnings known before anything moves. alarm: called at once if the torque may still be on. agree:
+    called before a real motor moves for the first time; raises to refuse. ended: called with the run before its fault.
 
     The torque is off on return, and all rows are kept. Ctrl-C ramps the torque to zero and sets `outcome.signal`.
     Raises WrongUse before any motion, DriverError if the drive fails, `hil.acquisition.limits.LimitReached` at a limit.
     """
-    opened = opened_stand(stand)
-    wanted = (quantity_of(mode), (amplitude, band, duration))
+    opened, wanted = opened_stand(stand), (quantity_of(mode), (amplitude, band, duration))
     made = excitation(opened, profile, *wanted, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
-    _check_amplitude(opened, made)
     foreseen = _warned(_foreseen(opened, made, guardian=guardian), warn)
     path, outcome = acquisition.run(
         opened,
@@ -146,6 +145,7 @@ def record(
         alarm=alarm,
         faults=None if faults is None else _plan(opened, Path(faults)),
         warn=lambda found: foreseen.extend(_warned(found, warn)),
+        agree=agree,
     )
     return _reported(path, outcome, foreseen, ended)
 
@@ -313,7 +313,10 @@ def _check_amplitude(stand: Stand, profile: Profile) -> None:
 
 
 def _foreseen(stand: Stand, profile: Profile, *, guardian: bool) -> list[Diagnostic]:
-    """Return the warnings about a run that are known before anything moves."""
+    """Return the warnings about a run that are known before anything moves. Raises WrongUse for an amplitude beyond the
+    stand's limit.
+    """
+    _check_amplitude(stand, profile)
     found = []
     if stand.stand.torque_source == "motor" and profile.mode is Quantity.POSITION:
         found.append(driven_by_position(is_error=False))

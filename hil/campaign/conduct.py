@@ -16,20 +16,22 @@ from hil.api.runs import Run as Recorded
 from hil.api.runs import record, simulate
 from hil.campaign.journal import Journal, keep_result, kept_result, note
 from hil.campaign.plan import Plan, Run
-from hil.errors import Untrustworthy, WrongUse
+from hil.errors import Declined, Untrustworthy, WrongUse
 from hil.recording.output import check_folder, writing
 
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """The interface to the person at the stand, as four functions.
+    """The interface to the person at the stand, as functions.
 
-    say: shows a line of text. ask: shows an instruction and returns when the person has followed it. progress: gets the
+    say: shows a line of text. ask: shows an instruction and returns when the person has followed it. agree: as in
+    `hil.record`. progress: gets the
     name of the identification's phase and the completed fraction. sleep: waits for the given time, s.
     """
 
     say: Callable[[str], object]
     ask: Callable[[str], object]
+    agree: Callable[[str], object] | None = None
     progress: Callable[[str, float], None] = field(default=lambda _what, _done: None)
     sleep: Callable[[float], object] = time.sleep
 
@@ -61,6 +63,8 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
         alarms: list[str] = []
         try:
             ended = _recorded_when_cool(plan, run, alarms, desk)
+        except Declined:
+            raise
         except (WrongUse, Untrustworthy, DriverError, LimitReached) as error:
             journal.keep(run, str(error))
             desk.say(f"{run.name} failed: {error}")
@@ -79,16 +83,16 @@ def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> 
     if waiting does not help.
     """
     try:
-        return _recorded(plan, run, alarms)
+        return _recorded(plan, run, alarms, desk)
     except TooHot as hot:
         if not math.isfinite(hot.rest):
             raise
         desk.say(f"{run.name}: the winding is too warm for it")
         _cool_down(hot.rest, desk)
-        return _recorded(plan, run, alarms)
+        return _recorded(plan, run, alarms, desk)
 
 
-def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:
+def _recorded(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
     profile, stand = run.profile, plan.stand_of(run.joint)
     common: dict[str, Any] = {
         "band": profile.band,
@@ -100,7 +104,7 @@ def _recorded(plan: Plan, run: Run, alarms: list[str]) -> Recorded:
     # a recording of that name is of a run that failed, as the journal knows
     if stand == "sim":
         return simulate(run.path, profile.kind, sim=run.joint.sim, force=True, **common)
-    return record(stand, profile.kind, output=run.path, force=True, alarm=alarms.append, **common)
+    return record(stand, profile.kind, output=run.path, force=True, alarm=alarms.append, agree=desk.agree, **common)
 
 
 def _cool_down(seconds: float, desk: Desk) -> None:

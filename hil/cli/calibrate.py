@@ -13,7 +13,7 @@ import typer
 from drivers.servo import Quantity
 from hil.cli import options
 from hil.cli.examples import below_help
-from hil.cli.terminal import command_line, out, print_diagnostics, say
+from hil.cli.terminal import asking, command_line, out, print_diagnostics, say
 from hil.errors import Untrustworthy, WrongUse
 from hil.printable import quoted
 
@@ -128,6 +128,7 @@ def fixture(
             command_line=command_line(),
             warn=print_diagnostics,
             alarm=say,
+            agree=asking(yes=yes),
         )
         if run.outcome.signal:
             raise typer.Exit(128 + run.outcome.signal)

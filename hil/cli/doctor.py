@@ -10,7 +10,7 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
-from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, out, print_json, say
+from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, ask_to_go_on, asking, out, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def doctor(
         bool,
         typer.Option("--commission", help="Test under 10 % of the torque limit that the drive releases its torque."),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="For --commission: do not ask before the torque is on.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the motor moves.")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Check ports and CAN interfaces, and with a stand file also the drive; say how to mend what is wrong.
@@ -69,7 +69,10 @@ def doctor(
     try:
         if opened is not None:
             words = say if commission else None
-            report = examine(checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune, say=words)
+            agree = asking(yes=yes or commission)
+            report = examine(
+                checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune, say=words, agree=agree
+            )
     finally:
         if commission and not as_json:
             _print_commissioning(checks, report)
@@ -91,20 +94,13 @@ def _confirm(stand: Stand | None, *, yes: bool) -> None:
     """Print what will happen, and wait for a yes. Raises WrongUse without a stand, or if the answer is not yes."""
     if stand is None:
         raise WrongUse("--commission tries the drive of a stand: hil doctor stand.toml --commission")
-    limits = stand.checked_limits()
-    say(
-        f"The motor will pull at up to {0.1 * limits.torque:.3g} N m (10 % of the torque limit) three times, for about "
-        "a second each, and the drive gets no commands for up to a second of it. Lock the joint, take your hands off, "
-        "and keep the emergency stop within reach."
+    from hil.acquisition.commissioning import announcement
+
+    motion = (
+        f"will pull at up to {0.1 * stand.checked_limits().torque:.3g} N m (10 % of the torque limit) three times, for "
+        "about a second each, and the drive gets no commands for up to a second of it."
     )
-    if yes:
-        return
-    try:
-        agreed = typer.confirm("Go on?", default=False, err=True)
-    except typer.Abort:
-        agreed = False
-    if not agreed:
-        raise WrongUse("nothing was driven: answer y, or add --yes in a script")
+    (say if yes else ask_to_go_on)(announcement(stand, motion))
 
 
 def _print_commissioning(checks: CheckList, report: Report | None) -> None:

@@ -77,6 +77,7 @@ Bounds = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=LOW:HIGH", help="In SI, or Kc=10:30mN*m/rad; repeat for several."),
 ]
+Unasked = Annotated[bool, typer.Option("--yes", help="Do not ask before a real motor moves for the first time.")]
 Setpoints = Annotated[Path | None, typer.Option(help="CSV of time (s) and set-point, for --profile file.")]
 Seed = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything random.")]
 Model = Annotated[str, typer.Option(help="auto: model selection; or terms, as in linear+offset; or FILE.py:NAME.")]

@@ -11,7 +11,7 @@ import typer
 
 from drivers.servo import Quantity
 from hil.cli import options
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, out, print_diagnostics, print_json, say
+from hil.cli.terminal import UNTRUSTWORTHY, asking, command_line, detail, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ def record(
     force: options.Force = False,
     no_guardian: options.NoGuardian = False,
     rerun: options.Rerun = "",
+    yes: options.Unasked = False,
     as_json: options.Json = False,
     list_profiles: Annotated[bool, typer.Option("--list-profiles", help="List the excitations.")] = False,
     list_backends: Annotated[bool, typer.Option("--list-backends", help="List the backends.")] = False,
@@ -53,8 +54,7 @@ def record(
         _list_kinds(profiles=list_profiles)
         return
     chosen = _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand)
-    if recording and duration is None:
-        duration = _length(recording, rate)
+    duration = _length(recording, rate) if recording and duration is None else duration
     if output is not None:
         _check_name(output, [stand, setpoints, faults], force=force)
     run = runs.record(
@@ -78,6 +78,7 @@ def record(
         command_line=command_line(),
         warn=print_diagnostics,
         alarm=say,
+        agree=asking(yes=yes),
         ended=partial(_print, as_json=as_json),
     )
     _end(run)

@@ -7,14 +7,14 @@ import logging
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import typer
 
-from hil.errors import WrongUse
+from hil.errors import Declined, WrongUse
 from hil.printable import printable
 
 if TYPE_CHECKING:
@@ -152,6 +152,24 @@ def _as_records(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
         pairs = zip(headings[1:], others, strict=True)
         lines += [f"  {heading}: {cell}" if heading else f"  {cell}" for heading, cell in pairs if cell]
     return lines
+
+
+def asking(*, yes: bool) -> Callable[[str], object] | None:
+    """Return `ask_to_go_on` in a terminal; None after --yes, and where nobody can answer, such as in a service."""
+    return ask_to_go_on if _is_terminal(sys.stdin) and not yes else None
+
+
+def ask_to_go_on(announcement: str) -> None:
+    """Print what will happen, and wait for a yes. Raises Declined for any other answer, also if the input has ended."""
+    stream = sys.stdout if _is_terminal(sys.stdout) and not _is_terminal(sys.stderr) else sys.stderr
+    _written(f"{announcement}\nGo on? [y/N]", stream)
+    answer = "" if sys.stdin is None else sys.stdin.readline()
+    if answer.strip().lower() not in {"y", "yes"}:
+        raise Declined("nothing was driven: answer y, or add --yes in a script")
+
+
+def _is_terminal(stream: TextIO | None) -> bool:
+    return stream is not None and stream.isatty()
 
 
 def print_json(table: dict[str, Any]) -> None:

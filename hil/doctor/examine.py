@@ -14,7 +14,7 @@ from pathlib import Path
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from drivers.torque_off import confirm_torque_off
-from hil.acquisition.commissioning import require_release
+from hil.acquisition.commissioning import Agree, require_agreement, require_release
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
@@ -27,7 +27,7 @@ from hil.doctor.tune import tune
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
 from hil.stand.devices import check_backend, found_by_search, restrictions
-from hil.stand.file import Stand
+from hil.stand.file import LimitsTable, Stand
 from hil.stand.opening import open_servo, require_watchdog
 from hil.stand.transmission import Transmission
 
@@ -45,22 +45,26 @@ def examine(
     amplitude: float | None = None,
     tuned: bool = False,
     say: Callable[[str], object] | None = None,
+    agree: Agree | None = None,
 ) -> Report | None:
     """Make every check that the stand allows and add each to `checks`. The torque is off on return.
 
     rate: the rate that the link must reach, Hz. move: whether the motor may be driven. amplitude: of that move, N m or
     rad at the joint (None: a twentieth of the limit). tuned: whether to search for the highest rate. say: if given, the
-    drive is also commissioned, and `say` is called with a sentence before each trial. Return the result of
-    commissioning, None without it. Raises WrongUse if the stand file is incomplete for the checks, and the errors of
-    `commission`.
+    drive is also commissioned, and `say` is called with a sentence before each trial. agree: called before anything is
+    opened if `move` moves a real motor for the first time. Return the result of commissioning, None without it. Raises
+    WrongUse if the stand file is incomplete for the checks, and the errors of `agree` and `commission`.
     """
-    stand.checked_limits()
+    size = _jog_size(stand.checked_limits(), mode, amplitude)
     check_backend(stand.stand.backend)
     checks.keys = keys_of(stand)
     _check_port(checks, stand)
     _check_real_time(checks)
     for text in restrictions(stand.devices.get(str(stand.stand.backend)), stand.stand.torque_source):
         checks.add("drive", Verdict.WARNING, text)
+    if move:
+        unit = "N m" if mode is Quantity.TORQUE else "rad"
+        require_agreement(stand, mode, f"will swing with up to {size:.3g} {unit} at the joint for 3 s.", agree)
     with StopRequest().listening() as stop:
         with _connected(checks, stand, mode) as servo:
             samples = [] if servo is None else check_link(checks, servo, rate, stop)
@@ -68,7 +72,7 @@ def examine(
                 limits = Transmission.of(stand.stand).motor_limits(stand.checked_limits(), samples[-1].motor_position)
                 check_stop(checks, servo, limits, mode)
                 if move and not stop.count:
-                    _move(checks, stand, servo, (mode, amplitude, rate), stop)
+                    _move(checks, stand, servo, (mode, size, rate), stop)
                 if (
                     not stop.count and say is None
                 ):  # last, since it may leave a fault that only cutting the power clears
@@ -156,23 +160,26 @@ def _searched(stand: Stand, error: DriverError) -> str:
     return f". But {'; '.join(others)}: correct the stand file" if others else ""
 
 
+def _jog_size(limits: LimitsTable, mode: Quantity, amplitude: float | None) -> float:
+    """Return the amplitude of the jog, N m or rad at the joint: `amplitude`, or a twentieth of the limit."""
+    limit = limits.torque if mode is Quantity.TORQUE else limits.deflection
+    return min(limit, limit * _SMALL if amplitude is None else amplitude)
+
+
 def _move(
     checks: CheckList,
     stand: Stand,
     servo: Servo,
-    wanted: tuple[Quantity, float | None, float],
+    wanted: tuple[Quantity, float, float],
     stop: StopRequest,
 ) -> None:
-    mode, amplitude, rate = wanted
-    limits = stand.checked_limits()
+    mode, size, rate = wanted
     try:
         require_watchdog(stand, servo.info)
         require_release(stand, servo.info, mode)
     except WrongUse as error:
         checks.failed("move", str(error))
         return
-    limit = limits.torque if mode is Quantity.TORQUE else limits.deflection
-    size = min(limit, limit * _SMALL if amplitude is None else amplitude)
     if checks.bus is not None:
         rate = reachable(checks.bus, rate)
     outcome, jog = run_jog(stand, servo, mode, stop, amplitude=size, rate=rate)

@@ -11,7 +11,17 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_table, print_diagnostics, print_json, say
+from hil.cli.terminal import (
+    UNTRUSTWORTHY,
+    asking,
+    command_line,
+    note,
+    out,
+    out_table,
+    print_diagnostics,
+    print_json,
+    say,
+)
 
 if TYPE_CHECKING:
     from hil.campaign.journal import Journal
@@ -46,7 +56,7 @@ def campaign(
     if dry_run:
         _show_plan(loaded, journal)
         return
-    desk = conduct.Desk(say, lambda text: _ask(text, yes=yes))
+    desk = conduct.Desk(say, lambda text: _ask(text, yes=yes), asking(yes=yes))
     try:
         conduct.record_all(loaded, journal, desk)  # without a bar: the live view has the terminal
     except conduct.Stopped as stopped:

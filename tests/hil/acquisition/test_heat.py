@@ -14,7 +14,7 @@ import pytest
 
 from drivers.servo import Quantity, Sample, ServoInfo
 from hil.acquisition import excitation
-from hil.acquisition.drive_memory import DriveMemory
+from hil.acquisition.drive_memory import StoredFacts
 from hil.acquisition.excitation import Profile
 from hil.acquisition.heat import HeatMemory, TooHot, WindingHeat, heat_budget
 from hil.acquisition.limits import AtJoint, LimitReached
@@ -254,7 +254,7 @@ def test_no_memory_depends_on_the_working_directory(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "state")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert DriveMemory("heat", INFO).path.is_relative_to(tmp_path / ".local" / "state")
+    assert StoredFacts.of_drive("heat", INFO).path.is_relative_to(tmp_path / ".local" / "state")
     if home is None:
         monkeypatch.delenv("HOME")
         monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
 import subprocess
@@ -17,9 +18,10 @@ from typing import Any
 import pytest
 
 from drivers.clock import VirtualClock
-from drivers.servo import Command, LinkLost, NoReply, Quantity, Sample
+from drivers.servo import Command, LinkLost, NoReply, Quantity, Sample, ServoInfo
 from hil.acquisition import excitation, recorder
 from hil.acquisition import run as run_module
+from hil.acquisition.commissioning import Commissioning
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import ending
 from hil.acquisition.phases import Outcome
@@ -68,6 +70,87 @@ def spring(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SpringServo:
 
 def record(*words: str) -> int:
     return cli.run(["record", "--backend", "sim", "--rate", "100", "--band", "2", "--profile", "sine", *words])
+
+
+# --- the question before a real motor moves --------------------------------------------------------------------------
+
+
+class Terminal(io.StringIO):
+    """A terminal in which a person types the given text; without one, Ctrl-C."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self, size: int | None = -1, /) -> str:
+        if self.getvalue() == "Ctrl-C":
+            raise KeyboardInterrupt
+        return super().readline(size)
+
+
+REAL = """
+[stand]
+name = "finger"
+backend = "moteus"
+[limits]
+torque = 0.4
+deflection = 1.0
+velocity = 60.0
+[moteus]
+interface = "virtual"
+channel = "stand"
+"""
+MOVE = ["--profile", "sine", "--band", "2", "--amplitude", "0.1", "--duration", "1", "--rate", "100", "-o", "a.h5"]
+
+
+@pytest.fixture
+def real(spring: SpringServo, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., int]:
+    """Return a function that records on a stand with a real motor, and returns the exit status."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    Path("stand.toml").write_text(REAL)
+
+    def run_it(typed: str, *words: str, stand: str = REAL, terminal: type[io.StringIO] = Terminal) -> int:
+        Path("stand.toml").write_text(stand)
+        Path("a.h5").unlink(missing_ok=True)
+        spring.driven.clear()
+        monkeypatch.setattr("sys.stdin", terminal(typed))
+        status = cli.run(["record", *MOVE, *words])
+        assert bool(spring.driven) == Path("a.h5").exists() == (status == 0)
+        return status
+
+    return run_it
+
+
+def test_a_real_motor_moves_for_the_first_time_only_after_a_yes_and_then_without_a_question(
+    real: Callable[..., int], capfd: pytest.CaptureFixture[str]
+) -> None:
+    for answer, status in (("n\n", 2), ("\n", 2), ("", 2), ("Ctrl-C", 130)):
+        assert real(answer) == status
+        said = capfd.readouterr()
+        assert "'finger' (moteus, interface virtual, channel stand, id 1) will move with up to 0.1 N m at " in said.err
+        assert "for 1 s." in said.err
+    assert real("y\n") == 0
+    assert real("n\n") == 0
+    assert real("n\n", stand=REAL.replace("0.4", "0.5")) == 2  # not the file to which the person agreed
+
+
+@pytest.mark.parametrize(
+    ("words", "terminal"),
+    [(["--yes"], Terminal), ([], io.StringIO), (["--backend", "sim"], Terminal)],
+    ids=["--yes", "no terminal", "simulated"],
+)
+def test_a_script_a_service_and_the_simulated_servo_are_not_asked(
+    real: Callable[..., int], words: list[str], terminal: type[io.StringIO]
+) -> None:
+    assert real("n\n", *words, *(["--amplitude", "0.01"] if "sim" in words else []), terminal=terminal) == 0
+    assert real("n\n") == 2  # and nothing of it counts as a yes
+
+
+@pytest.mark.parametrize(("days", "status"), [(1.0, 0), (31.0, 2)])
+def test_a_commissioned_drive_moves_without_a_question(real: Callable[..., int], days: float, status: int) -> None:
+    tested = Commissioning(time.time() - days * 86400.0, "1", 0.1, releases=True, guardian=True, second_signal=True)
+    tested.keep(parse(REAL), ServoInfo(backend="moteus", model="n1", serial="11"), Quantity.TORQUE)
+    assert real("n\n", stand=REAL.replace('"finger"', '"other"')) == status
+    assert real("n\n", stand=REAL.replace("virtual", "socketcan")) == 2  # not the drive that was tested
 
 
 # --- a fault at every call -------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from hil.campaign.journal import Journal
 from hil.campaign.page import diagnostics
 from hil.campaign.plan import load
 from hil.campaign.results import Line, Results, Value, marked, scores
-from hil.errors import WrongUse
+from hil.errors import Declined, WrongUse
 from hil.stand.toml_table import line_of
 
 from ..conftest import Hil
@@ -113,6 +113,26 @@ def test_a_drive_that_may_still_have_torque_ends_the_campaign_at_once(
         record_all(loaded, journal, Desk(lambda _text: None, lambda _text: None, sleep=lambda _seconds: None))
     assert len(recorded) == 1
     assert "may still be on" in journal.failure(loaded.runs[0])
+
+
+def test_a_person_who_does_not_agree_that_the_motor_moves_ends_the_campaign(
+    plan: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan.write_text(
+        PLAN.replace('name = "soft"\n[joint.sim.coupling]\nstiffness = 0.015', 'name = "soft"\nstand = "a.toml"')
+    )
+    asked: list[str] = []
+
+    def declined(*words: object, agree: Callable[[str], object], **settings: object) -> None:
+        del words, settings
+        agree("the motor will move")
+        raise Declined("nothing was driven")
+
+    monkeypatch.setattr("hil.campaign.conduct.record", declined)
+    loaded = load(plan)
+    with pytest.raises(Declined):
+        record_all(loaded, Journal(loaded), Desk(asked.append, asked.append, asked.append))
+    assert asked == ["the motor will move"]
 
 
 def test_recordings_of_a_real_joint_wait_for_it_to_cool_down(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:

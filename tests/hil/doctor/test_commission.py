@@ -270,7 +270,7 @@ def test_a_broken_watchdog_is_the_first_line_and_status_1_and_the_guardian_was_t
     assert status == 1, said
     assert said.out.startswith("the drive DOES NOT RELEASE ITS TORQUE: ")
     assert "ok          guardian: " in said.out
-    assert "The motor will pull at up to 0.003 N m" in said.err
+    assert "will pull at up to 0.003 N m" in said.err
 
 
 def test_nothing_is_driven_without_a_yes(
@@ -281,6 +281,10 @@ def test_nothing_is_driven_without_a_yes(
     stand.write_text(STAND.format(torque=0.03) + '[dynamixel]\nport = "/dev/null"\nmodel = "xl330-m288"\n')
     assert run(["doctor", str(stand), "--commission"]) == 2
     assert "nothing was driven: answer y, or add --yes" in capfd.readouterr().err
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    assert run(["doctor", str(stand), "--move"]) == 2
+    said = capfd.readouterr().err
+    assert "model xl330-m288, port /dev/null, id 1) will swing with up to 0.0015 N m at the joint for 3 s." in said
 
 
 def test_the_json_has_every_trial(monkeypatch: pytest.MonkeyPatch) -> None:
