@@ -319,16 +319,19 @@ class Recorder:
         self._outcome.phases.enter(phase, self._servo.clock.now())
 
     def _note_end(self) -> None:
-        """Add the fault that ended the run to the recording's events. A failure to do so must not lose the recorded
-        rows.
+        """Add to the recording's events when the torque of a stopped run was off, and the fault that ended the run. A
+        failure to do so must not lose the recorded rows.
         """
         outcome = self._outcome
         outcome.error = outcome.error or self._off_error
         if outcome.alarm:
             outcome.end_reason = f"{outcome.end_reason}; {outcome.alarm}"
-        if outcome.error is None:
-            return
         try:
+            for t, phase in outcome.phases.history:
+                if phase is Phase.OFF and math.isfinite(self._stopping_at):
+                    self._sink.event(t - self._start, "torque-off", "the drive confirmed it")
+            if outcome.error is None:
+                return
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
             self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
         except Exception as error:  # noqa: BLE001 - in any case the data is kept

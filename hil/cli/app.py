@@ -16,7 +16,6 @@ from typing import Annotated, Any, NoReturn, cast
 import typer
 
 from hil.acquisition.interrupt import StopRequest
-from hil.api.wording import on_the_command_line
 from hil.cli.calibrate import calibrate
 from hil.cli.demo import demo
 from hil.cli.design import design
@@ -29,6 +28,7 @@ from hil.cli.many.campaign import campaign
 from hil.cli.many.compare import compare
 from hil.cli.many.hysteresis import hysteresis
 from hil.cli.many.report import report
+from hil.cli.many.studio import studio
 from hil.cli.record import record
 from hil.cli.replicate import replicate
 from hil.cli.stand import stand
@@ -79,6 +79,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "recover": recover,
     "campaign": campaign,
     "demo": demo,
+    "studio": studio,
     "replicate": replicate,
     "design": design,
     "emulate": emulate,
@@ -136,8 +137,7 @@ def run(words: list[str]) -> int:
     be_quiet("--quiet" in words)
     try:
         parsed = [word for word in words if word not in {"--debug", "--quiet"}]
-        with on_the_command_line():
-            answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
+        answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
     except _UsageError as error:
         say(_usage(error))
         return WRONG_USE

@@ -34,6 +34,7 @@ EXAMPLES = MappingProxyType(
         "recover": ("hil recover run1.h5.part",),
         "campaign": ("hil campaign examples/hand.toml --dry-run",),
         "demo": ("hil demo",),
+        "studio": ("hil studio", "hil studio --port 0"),
         "replicate": ("hil replicate --trials 5 --evaluations 200000",),
         "design": ("hil design --stand stand.toml --kc 0.02 --bc 2e-4 --duration 30",),
         "emulate": ("hil emulate dynamixel --link ./ttyDXL --log torque.csv",),

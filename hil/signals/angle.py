@@ -18,7 +18,7 @@ _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
 _MOST = (0.02, 0.98)  # quantiles of it then: an inertia's torque comes before the first count
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
-_BESIDE = 65  # readings around one, by which that distance is usual there; a burst has fewer
+_BESIDE = 65  # readings around one, by which that distance is usual there
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
 _CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
@@ -87,9 +87,11 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     neighbours' readings are far from their cubics too, but not in the pattern that a single wrong reading causes.
     """
     wrong = np.zeros(len(angle), dtype=bool)
-    off, far = _far(angle)
-    if not far.size:
+    if len(angle) < 2 * len(_CUBIC):
         return wrong
+    off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
+    least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
+    far = np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
     far = far[(far >= 2) & (far < len(off) - 2)]
     around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
     far = far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])]
@@ -98,44 +100,6 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
     wrong[far[np.abs(off[far]) > _ODD * 1.4826 * np.median(beside, axis=1)] + 2] = True
     return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
-
-
-def _far(angle: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far."""
-    if len(angle) < 2 * len(_CUBIC):
-        return np.zeros(0), np.zeros(0, dtype=np.int64)
-    off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
-    least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
-    return off, np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
-
-
-def bursts(angle: Array, torque: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of an angle, rad, lie in a short burst of wrong ones: random, held or displaced.
-
-    torque (n,): N m. The angle jumps from the cubic through its neighbours, and the torque stays on its own, as it
-    would not if the joint had moved so.
-    """
-    wrong = np.zeros(len(angle), dtype=bool)
-    angle = unwrapped(angle, torque)[0] if len(angle) else angle
-    off, far = _far(angle)
-    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BESIDE) + 1) if part.size]
-    rows = [slice(int(part[0]) + 1, int(part[-1]) + 4) for part in groups]
-    for part in rows:
-        wrong[part] = True
-    if wrong.all() or not rows:
-        return np.zeros_like(wrong)
-    spread, slope = np.cov(angle[~wrong], torque[~wrong])[0]
-    carried = np.convolve(torque - torque.mean(), _CUBIC, mode="valid") * (spread / slope if slope else np.inf)
-    changes = np.concatenate([[0], np.flatnonzero(np.diff(angle)) + 1, [len(angle)]])  # a reading that is held joins
-    for part in rows:
-        near = slice(part.start - 1, part.stop - 3)
-        # a motion that is read five times a period or more leaves its cubic by less than a third of its largest step
-        jumps = 3.0 * np.abs(off[near]).max() > np.abs(np.diff(angle[part.start - 1 : part.stop + 1])).max()
-        stays = 2.0 * np.linalg.norm(carried[near]) < np.linalg.norm(off[near])
-        first = min(part.start, int(changes[np.searchsorted(changes, part.start + 1, "right") - 1]))
-        last = max(part.stop, int(changes[np.searchsorted(changes, part.stop - 2, "right")]))
-        wrong[first:last] = jumps and stays and last - first < _BESIDE
-    return wrong if np.count_nonzero(wrong) <= _RARE * len(angle) else np.zeros_like(wrong)
 
 
 def far_zero(angle: Array) -> float:

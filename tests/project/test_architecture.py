@@ -30,7 +30,7 @@ ALLOWED = {
         "nptdms",
         "python_calamine",
     }
-    | {"annotated_types", "mcap_ros2"},
+    | {"annotated_types", "mcap_ros2", "anyio", "starlette", "uvicorn"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
     "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}

@@ -1,1 +1,1 @@
-"""Commands over many recordings."""
+"""Commands over many recordings: of a list, of a campaign, of a folder."""

@@ -223,7 +223,7 @@ def test_one_request_to_stop_ramps_the_torque_to_zero_within_a_tenth_of_a_second
     share = bench.channel("command")[-10:] / wanted[-10:]
     np.testing.assert_allclose(share, np.arange(1.0, 0.05, -0.1), atol=1e-6)
     assert not bench.servo.armed
-    assert bench.events() == ["stop-requested"]
+    assert bench.events() == ["stop-requested", "torque-off"]
 
 
 def test_a_second_request_ends_the_run_at_the_next_tick(bench: Bench) -> None:

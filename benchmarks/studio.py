@@ -1,0 +1,269 @@
+"""Measure the page of hil studio: python benchmarks/studio.py (needs hil[studio,study] and chromium)
+
+Prints a table and writes benchmarks/results/studio.csv:
+
+- stop: from the click on STOP in the browser to the moment at which an emulated DYNAMIXEL, on its serial line, has its
+  torque off, by the emulator's own log. 0.1 s of it is the ramp.
+- what the page costs: ticks missed at 500 Hz in `hil record` alone and with the page open, in turns; processor time of
+  the server and of the browser during the run.
+- first paint, and the page with its stands.
+- an hour at 1 kHz: 3.6 million rows are written into a recording as fast as this computer can; the JavaScript heap
+  after a collection at each sixth of them, and frames received a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from hil.recording.channels import Row
+from hil.recording.writer import Header, RecordingWriter
+
+ROOT = Path(__file__).parent.parent
+HIL = [sys.executable, "-c", "from hil.cli import main; main()"]
+STAND = """
+[stand]
+name = "an emulated finger"
+backend = "dynamixel"
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 0.06
+deflection = 1.5
+velocity = 60.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+watchdog = 1.0
+"""
+SOON = 120_000  # ms
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--stops", type=int, default=100)
+    parser.add_argument("--turns", type=int, default=3, help="runs with the page, and as many without")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of such a run")
+    parser.add_argument("--rows", type=int, default=3_600_000)
+    parser.add_argument("--output", type=Path, default=ROOT / "benchmarks" / "results" / "studio.csv")
+    options = parser.parse_args()
+    rows: list[tuple[str, str, str]] = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        for measure in (paint, cost, hour, stops):
+            with tempfile.TemporaryDirectory() as folder:
+                for row in measure(Path(folder), browser, options):
+                    print(f"{row[0]:58} {row[1]:>28}   bar {row[2]}", flush=True)
+                    rows.append(row)
+        browser.close()
+    with options.output.open("w", encoding="utf-8", newline="") as file:
+        words = f"{options.stops} stops, {options.turns} turns of {options.seconds:g} s, {options.rows} rows"
+        file.write(f"# python benchmarks/studio.py; {words}; {os.cpu_count()} cores, load {os.getloadavg()[0]:.0f}\n")
+        csv.writer(file).writerows([("what", "measured", "bar"), *rows])
+
+
+@contextmanager
+def studio(folder: Path) -> Iterator[tuple[str, int]]:
+    """`hil studio`: its link and its process id."""
+    words = [*HIL, "studio", "--port", "0"]
+    with subprocess.Popen(words, cwd=folder, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield re.findall(r"http://\S+", process.stderr.readline())[0], process.pid
+        finally:
+            for _ in range(3):
+                process.send_signal(signal.SIGINT)
+
+
+def opened(browser: Browser, link: str) -> Page:
+    page = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
+    page.set_default_timeout(SOON)
+    page.goto(link)
+    page.wait_for_selector("#stands input")
+    return page
+
+
+def paint(folder: Path, browser: Browser, _options: Any) -> Iterator[tuple[str, str, str]]:
+    """First paint, and the page with its stands, s."""
+    firsts, wholes = [], []
+    for _ in range(5):
+        with studio(folder) as (link, _):
+            page = opened(browser, link)
+            wholes.append(page.evaluate("performance.now()") / 1e3)
+            firsts.append(page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime") / 1e3)
+            page.context.close()
+    yield "first paint, median of 5", f"{np.median(firsts):.2f} s", "1 s"
+    yield "the page with its stands, median of 5", f"{np.median(wholes):.2f} s", ""
+
+
+def processor_time(process: int) -> float:
+    """Processor time of a process so far, s."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return sum(int(fields[at]) for at in (11, 12)) / os.sysconf("SC_CLK_TCK")
+
+
+def browser_processes() -> list[int]:
+    """The processes of the browser that this script started."""
+    parents = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parents[int(folder.name)] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:
+            continue
+    ours, grown = {os.getpid()}, True
+    while grown:
+        new = {one for one, parent in parents.items() if parent in ours} - ours
+        ours, grown = ours | new, bool(new)
+    names = {one: Path(f"/proc/{one}/comm") for one in ours}
+    return [one for one, name in names.items() if name.exists() and "chrom" in name.read_text()]
+
+
+def cost(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, str, str]]:
+    """Ticks missed at 500 Hz without the page and with it, and the processor time of the page."""
+    missed: dict[str, list[int]] = {"bare": [], "page": []}
+    shares: list[tuple[float, float]] = []
+    bare = [*HIL, "record", "--backend", "sim", "--realtime", "--json", f"--duration={options.seconds}"]
+    with studio(folder) as (link, server):
+        page = opened(browser, link)
+        page.click("#to-record")
+        page.fill("[name=duration]", str(options.seconds))
+        for _ in range(options.turns):
+            page.goto("about:blank")
+            done = subprocess.run(bare, cwd=folder, capture_output=True, text=True, check=True)
+            missed["bare"].append(json.loads(done.stdout)["missed"])
+            page.goto(link.partition("#")[0])
+            page.wait_for_selector("#stands input")
+            page.click("#to-record")
+            page.fill("[name=duration]", str(options.seconds))
+            page.click("#start")
+            page.locator("#figures", has_text=re.compile(r"Kc so far[\d.]")).wait_for()
+            processes, began = browser_processes(), time.monotonic()
+            before = processor_time(server), sum(map(processor_time, processes))
+            time.sleep(0.6 * options.seconds)
+            after = processor_time(server), sum(map(processor_time, processes))
+            shares.append(tuple((b - a) / (time.monotonic() - began) for a, b in zip(before, after, strict=True)))
+            page.wait_for_selector("#to-identify", state="visible")
+            newest = max((folder / "recordings").glob("*.h5"), key=lambda one: one.stat().st_mtime)
+            missed["page"].append(missed_ticks(newest))
+        page.context.close()
+    ticks = int(500 * options.seconds)
+    for name, words in (("bare", "hil record alone"), ("page", "hil record with the page")):
+        yield f"ticks missed at 500 Hz, {words}", f"{missed[name]} of {ticks} each", "as many as alone"
+    server_share, browser_share = np.median(shares, axis=0)
+    yield "the server during a run", f"{server_share:.1%} of a core", "10 %"
+    yield "the browser during a run, without a graphics card", f"{browser_share:.0%} of a core", ""
+
+
+def missed_ticks(path: Path) -> int:
+    from hil.recording.reader import Recording
+
+    with Recording(path) as recording:
+        return int(recording.attributes["missed"])
+
+
+def hour(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, str, str]]:
+    """The JavaScript heap while an hour of rows arrives."""
+    (folder / "recordings").mkdir()
+    writer = RecordingWriter(
+        folder / "recordings" / "hour.h5",
+        Header(profile={"kind": "chirp", "mode": "torque", "duration": options.rows / 1000.0, "rate": 1000.0}),
+        options.rows,
+        batch=2000,
+    )
+    heaps, frames = [], [0]
+    with writer, studio(folder) as (link, _):
+        writer.append(Row(0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        page = opened(browser, link)
+        page.on(
+            "websocket",
+            lambda one: one.on(
+                "framereceived", lambda data: frames.__setitem__(0, frames[0] + isinstance(data, bytes))
+            ),
+        )
+        page.reload()
+        page.wait_for_selector("#stands input")
+        session = page.context.new_cdp_session(page)
+        began = time.monotonic()
+        for seq in range(1, options.rows):
+            t = seq / 1000.0
+            writer.append(Row(seq, t, np.sin(t), np.sin(3.0 * t), np.cos(3.0 * t), 0.0))
+            if seq % 20_000 == 0:
+                page.wait_for_timeout(1)  # lets playwright count the frames
+            if (6 * (seq + 1)) // options.rows != (6 * seq) // options.rows:
+                session.send("HeapProfiler.collectGarbage")
+                heaps.append(page.evaluate("performance.memory.usedJSHeapSize") / 1e6)
+        took = time.monotonic() - began
+        page.context.close()
+    yield (
+        f"{options.rows} rows of 1 kHz in {took:.0f} s: heap at each sixth",
+        " ".join(f"{one:.1f}" for one in heaps) + " MB",
+        "constant",
+    )
+    yield "frames of traces received", f"{frames[0] / took:.0f} a second", "30"
+
+
+def stops(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, str, str]]:
+    """From the click to the torque off, ms."""
+    log = folder / "torque.csv"
+    (folder / "finger.toml").write_text(STAND.format(port=folder / "ttyDXL"))
+    words = ["emulate", "dynamixel", "--link", str(folder / "ttyDXL"), "--stand", "finger.toml", "--log", str(log)]
+    took, shown = [], []
+    with subprocess.Popen([*HIL, *words], cwd=folder, stderr=subprocess.PIPE, text=True) as drive:
+        drive.stderr.readline()
+        with studio(folder) as (link, _):
+            page = opened(browser, link)
+            page.evaluate(
+                "document.getElementById('stop').addEventListener('click', (event) => "
+                "{ document.body.dataset.clicked = performance.timeOrigin + event.timeStamp; }, true)"
+            )
+            page.get_by_label("an emulated finger").check()
+            page.click("#to-record")
+            page.fill("[name=rate]", "200")
+            page.fill("[name=duration]", "30")
+            for _ in range(options.stops):
+                page.click("#start")
+                page.click("#yes")
+                page.locator("#figures", has_text=re.compile(r"Kc so far[\d.]")).wait_for()
+                page.click("#stop")
+                page.locator("#state", has_text="Torque off after").wait_for()
+                clicked = float(page.get_attribute("body", "data-clicked")) / 1e3 - time.time() + time.monotonic()
+                took.append(1e3 * (switched_off(log, clicked) - clicked))
+                shown.append(float(re.findall(r"after (\d+)", page.inner_text("#state"))[0]))
+                page.wait_for_selector("#to-identify", state="visible")
+            page.context.close()
+        drive.send_signal(signal.SIGINT)
+    some = sorted(took)
+    label = f"click to torque off on an emulated drive, {len(some)} stops"
+    yield (
+        f"{label}: median, 99 %, largest",
+        "{:.0f}, {:.0f}, {:.0f} ms".format(*np.quantile(some, [0.5, 0.99, 1.0])),
+        "150 ms in 99 %",
+    )
+    yield f"{label}: within 150 ms", f"{sum(one <= 150.0 for one in some)} of {len(some)}", "99 %"
+    yield "the same as the page shows it, median", f"{np.median(shown):.0f} ms", ""
+
+
+def switched_off(log: Path, after: float) -> float:
+    """The time of the first row after `after` in which the drive has its torque off, s."""
+    with log.open(encoding="ascii") as file:
+        rows = [row for row in csv.DictReader(file) if float(row["time_s"]) > after and row["enabled"] == "0"]
+    return float(rows[0]["time_s"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""The command lines that the page can start: a table of what may stand in each, so that no text becomes an option."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from hil.errors import WrongUse, unknown
+from hil.recording.output import next_free
+from hil.studio.folder import Folder, is_report
+
+SIZES: Final = ("profile", "amplitude", "band", "duration", "rate", "mode")
+"""The fields of the page that describe an excitation, which are options of `hil record` too."""
+_WINDOW: Final = ("from", "to")
+_LONGEST: Final = 200  # characters of a value
+_EXPORTS: Final = (".csv", ".parquet", ".mat", ".mcap", ".xml", ".urdf", ".sdf", ".h", ".json")
+
+
+class Line(NamedTuple):
+    """A command line. words: after `hil`. output: the file that it writes. moves: whether the motor may be driven.
+    module: what is run with the words.
+    """
+
+    kind: str
+    words: list[str]
+    output: Path | None = None
+    moves: bool = False
+    module: str = "hil"
+
+
+def line_of(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    """Return the command line for what the page asks: texts by name, "kind" among them. Raises WrongUse."""
+    makers = {"readings": _readings, "doctor": _doctor, "record": _record, "identify": _identify, "compare": _compare}
+    makers["export"] = _export
+    kind = text_of(wanted, "kind")
+    if kind not in makers:
+        raise unknown("command", kind, makers)
+    return makers[kind](wanted, folder)
+
+
+def text_of(wanted: Mapping[str, Any], name: str) -> str:
+    """Return the value of a field of the page as a text, "" without one. Raises WrongUse."""
+    text = str(wanted.get(name, "")).strip()
+    if len(text) > _LONGEST or not text.isprintable():
+        raise WrongUse(f"{name}: this is no value for it")
+    return text
+
+
+def options(wanted: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    """Return the fields that are filled in as options. Raises WrongUse."""
+    return [f"--{name}={text}" for name in names if (text := text_of(wanted, name))]
+
+
+def stand_of(wanted: Mapping[str, Any], folder: Folder) -> str:
+    """Return the stand file that the page names, "sim" for the simulated stand. Raises WrongUse."""
+    name = text_of(wanted, "stand")
+    return name if name == "sim" else str(folder.inside(name))
+
+
+def _argument(path: Path | str) -> str:
+    return f"./{path}" if str(path).startswith("-") else str(path)  # or it would be an option
+
+
+def _readings(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    return Line("readings", [stand_of(wanted, folder)], module="hil.studio.readings")
+
+
+def _doctor(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    stand = stand_of(wanted, folder)
+    if stand == "sim":
+        return Line("doctor", ["doctor", "--json"])
+    more = [f"--{name}" for name in ("commission", "yes") if wanted.get(name) is True]
+    return Line("doctor", ["doctor", _argument(stand), "--json", *more], moves=True)
+
+
+def _record(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    stand = stand_of(wanted, folder)
+    output = next_free(folder.place / "recordings").relative_to(folder.place)
+    words = ["--backend=sim" if stand == "sim" else f"--stand={stand}", *options(wanted, (*SIZES, "note"))]
+    agreed = ["--yes"] if wanted.get("yes") is True else []
+    shown = [f"--output={output}", "--json", "--realtime"]  # a real stand takes its time anyway
+    return Line("record", ["record", *words, *shown, *agreed], output, moves=True)
+
+
+def _identify(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    (recording,) = _recordings(wanted, folder, 1, 1)
+    return _reported(
+        ["identify", _argument(recording), *options(wanted, _WINDOW)], recording.with_suffix(".html"), folder
+    )
+
+
+def _compare(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    chosen = _recordings(wanted, folder, 2, 20)
+    page = chosen[0].with_name(f"{'-'.join(one.stem for one in chosen)[:_LONGEST]}.html")
+    return _reported(["compare", *map(_argument, chosen)], page, folder)
+
+
+def _reported(words: list[str], page: Path, folder: Folder) -> Line:
+    replaced = ["--force"] if is_report(folder.place / page) else []
+    return Line(words[0], [*words, "--json", f"--report={page}", *replaced], page)
+
+
+def _export(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    (recording,) = _recordings(wanted, folder, 1, 1)
+    suffix = text_of(wanted, "suffix")
+    if suffix not in _EXPORTS:
+        raise unknown("format", suffix, _EXPORTS)
+    output = recording.with_suffix(suffix)
+    return Line("export", ["export", _argument(recording), f"--output={output}"], output)
+
+
+def _recordings(wanted: Mapping[str, Any], folder: Folder, least: int, most: int) -> list[Path]:
+    names = wanted.get("recordings")
+    if not isinstance(names, list) or not least <= len(names) <= most:
+        raise WrongUse(f"choose {'one recording' if most == 1 else f'{least} to {most} recordings'} in the list")
+    return [folder.inside(str(name)) for name in names]

@@ -1,0 +1,132 @@
+"""What the page shows of its folder: stand files, recordings with the results beside them, and traces."""
+
+from __future__ import annotations
+
+import html
+import re
+import struct
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hil.acquisition.commissioning import NOTHING_TURNS, announcement
+from hil.errors import WrongUse
+from hil.recording.reader import Recording
+from hil.report.pictures.thinning import trace_rows
+from hil.stand.file import SIMULATED, Stand, load, parse
+
+_HEAD: Final = 4096  # bytes of a report that hold its title
+_TITLE: Final = re.compile(r"<title>[^<]*?: ([^<]*)</title>")
+_STANDS: Final = 50  # files that are read
+_PAGE: Final = 50  # recordings in one answer
+_SUFFIXES: Final = frozenset({".h5", ".hdf5", ".part"})
+
+
+class Folder:
+    """The folder in which `hil studio` was started; no file outside it is read or written."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place.resolve()
+
+    @property
+    def recordings(self) -> Path:
+        """The folder for new recordings."""
+        return self.place / "recordings"
+
+    def inside(self, name: str) -> Path:
+        """Return the file `name` of this folder, relative to it. Raises WrongUse if it is none."""
+        with suppress(OSError, ValueError):
+            found = (self.place / name).resolve(strict=True)
+            if found.is_file() and found.is_relative_to(self.place):
+                return found.relative_to(self.place)
+        raise WrongUse(f"{name!r} is no file of this folder any more: it was removed or renamed")
+
+    def stands(self) -> list[dict[str, Any]]:
+        """Return the stands of the folder, each with its limits or with what is wrong with its file."""
+        files = sorted(self.place.glob("*.toml"))[:_STANDS]
+        found = [_described("sim", parse(SIMULATED))]
+        for path in files:
+            try:
+                found.append(_described(path.name, load(path)))
+            except (WrongUse, OSError) as error:
+                if "[stand]" in path.read_text(encoding="utf-8", errors="replace"):
+                    found.append({"file": path.name, "name": path.name, "wrong": str(error)})
+        return found
+
+    def listed(self, first: int, wanted: str) -> tuple[list[dict[str, Any]], int]:
+        """Return a page of the recordings, newest first, from number `first` on, and how many there are.
+
+        wanted: a text that the name contains, "" for all. Only those of the page are looked at, so that 10,000 of them
+        cost no more than their names and dates.
+        """
+        dated = []
+        for path in self._recordings():
+            name = path.relative_to(self.place).as_posix()
+            if wanted.casefold() in name.casefold():
+                with suppress(OSError):  # removed since
+                    dated.append((path.stat().st_mtime, name))
+        dated.sort(reverse=True)
+        return [self._entry(name, changed) for changed, name in dated[first : first + _PAGE]], len(dated)
+
+    def _recordings(self) -> Iterator[Path]:
+        for folder in (self.place, *(one for one in self.place.iterdir() if one.is_dir() and one.name[0] != ".")):
+            with suppress(OSError):
+                yield from (path for path in folder.iterdir() if path.suffix in _SUFFIXES and path.name[0] != ".")
+
+    def parts(self) -> list[Path]:
+        """Return the recordings that have not ended, newest first."""
+        with suppress(OSError):
+            found = [(path.stat().st_mtime, path) for path in self._recordings() if path.suffix == ".part"]
+            return [path for _, path in sorted(found, reverse=True)]
+        return []
+
+    def _entry(self, name: str, changed: float) -> dict[str, Any]:
+        page = (self.place / name).with_suffix(".html")
+        title = _title(page)
+        report = page.relative_to(self.place).as_posix() if title else ""
+        return {"file": name, "changed": changed, "report": report, "answer": title}
+
+
+def _described(file: str, stand: Stand) -> dict[str, Any]:
+    table = stand.devices.get(str(stand.stand.backend))
+    place = next((str(value) for key in ("port", "channel") if (value := getattr(table, key, None))), "")
+    return {
+        "file": file,
+        "name": stand.stand.name,
+        "backend": str(stand.stand.backend),
+        "place": place,
+        "limits": None if stand.limits is None else stand.limits.model_dump(),
+        "asked": announcement(stand, "will move with up to {size} at the joint for {time}."),
+        "simulated": stand.stand.backend in NOTHING_TURNS,
+    }
+
+
+def _title(page: Path) -> str:
+    """Return the answer in the title of a report of hil, "" if there is none."""
+    with suppress(OSError), page.open("rb") as file:
+        found = _TITLE.search(file.read(_HEAD).decode("utf-8", errors="replace"))
+        return html.unescape(found[1]).strip() if found else ""
+    return ""
+
+
+def is_report(page: Path) -> bool:
+    """Return whether `page` is there and a report of hil, which a later one may replace."""
+    return bool(_title(page))
+
+
+def trace(path: Path) -> bytes:
+    """Return the traces of a recording, with the extremes of a long one, as one frame of `Growing.frame`.
+
+    Raises WrongUse and Untrustworthy.
+    """
+    with Recording(path) as recording:
+        time, command, torque, dtheta = (recording.channel(name) for name in ("time", "command", "torque", "dtheta"))
+    rows = trace_rows(torque, dtheta)
+    known = np.isfinite(time[rows])
+    rows = rows[known]
+    begin = float(time[rows[0]]) if len(rows) else 0.0
+    values = np.array([time[rows] - begin, command[rows], torque[rows], dtheta[rows]], "<f4")
+    return struct.pack("<IId", 0, len(rows), begin) + values.tobytes()

@@ -1,0 +1,209 @@
+"""The command that the page runs: a process in a session of its own, stopped by the signal that Ctrl-C sends.
+
+One command runs at a time, because one that computes would cost a running motor its ticks. A run in this folder that
+another program started, such as a studio that was killed, is shown and stopped in the same way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import os
+import shlex
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from hil.child import command
+from hil.errors import WrongUse
+from hil.recording.output import part_path
+from hil.studio.commands import Line, line_of
+from hil.studio.folder import Folder
+from hil.studio.growing import Growing, is_writing, recorder_of
+
+_SHOWN: Final = 16_384  # bytes of a command's messages
+_LARGEST: Final = 1 << 25  # bytes of its JSON
+_WATCHED: Final = 5e-3  # s between two looks for the end of the torque
+_SOON: Final = 15.0  # s after a stop until which it is looked for
+_NUMBERS: Final = itertools.count(1)
+
+
+class _Foreign:
+    """The process of a run that another program started: as much of `subprocess.Popen` as a job needs."""
+
+    def __init__(self, number: int, part: Path) -> None:
+        self._number, self._part = number, part
+
+    def poll(self) -> int | None:
+        return None if is_writing(self._number, self._part) else 0
+
+    def send_signal(self, number: int) -> None:
+        if self.poll() is None:
+            with suppress(ProcessLookupError):
+                os.kill(self._number, number)
+
+
+class Job:
+    """A command that runs or ran. line: its command line, in `place`. recorder: the process of a foreign run."""
+
+    def __init__(self, line: Line, place: Path, recorder: int | None = None) -> None:
+        self.number = next(_NUMBERS)
+        self.line = line
+        self.off_after: float | None = None  # s from the stop until the recording says that the torque is off
+        self.stops = 0
+        self.growing: Growing | None = None
+        self.is_ours = recorder is None
+        self._part = part_path(place / line.output) if line.kind == "record" and line.output else None
+        with ExitStack() as files:
+            # files without a name in place of pipes: a page that hangs must never make a recorder wait
+            self._out, self._err = (files.enter_context(tempfile.TemporaryFile()) for _ in range(2))
+            if recorder is not None and self._part is not None:
+                self._process: subprocess.Popen[bytes] | _Foreign = _Foreign(recorder, self._part)
+            else:
+                self._process = self._begun(place)
+            self._files = files.pop_all()
+
+    def _begun(self, place: Path) -> subprocess.Popen[bytes]:
+        try:
+            return subprocess.Popen(  # noqa: S603 - our own module
+                command(self.line.module, *self.line.words),
+                cwd=place,
+                stdin=subprocess.DEVNULL,
+                stdout=self._out,
+                stderr=self._err,
+                start_new_session=True,
+            )
+        except OSError as error:
+            raise WrongUse(f"{self.line.kind} cannot be started ({error.strerror}): close other programs") from error
+
+    @property
+    def status(self) -> int | None:
+        """The exit status, None while it runs."""
+        return self._process.poll()
+
+    def state(self) -> dict[str, Any]:
+        """Return what the page shows of it. `answer` is the JSON of its output, or of the last line while it runs."""
+        status = self.status
+        lines = _end_of(self._err).strip().splitlines()
+        return {
+            "number": self.number,
+            "kind": self.line.kind,
+            "command": shlex.join(["hil", *self.line.words]) if self.is_ours else "a run that was started elsewhere",
+            "moves": self.line.moves,
+            "status": status,
+            "output": "" if self.line.output is None else self.line.output.as_posix(),
+            "stops": self.stops,
+            "off_after": self.off_after,
+            "said": lines[-8:],
+            "answer": self._answer(ended=status is not None),
+            "live": None if self.growing is None else self.growing.figures(),
+        }
+
+    def _answer(self, *, ended: bool) -> Any:
+        with suppress(ValueError, IndexError):
+            if self.line.kind == "readings":
+                return json.loads(_end_of(self._out).split("\n")[-2])
+            return json.loads(os.pread(self._out.fileno(), _LARGEST, 0)) if ended else None
+        return None
+
+    def follow(self) -> Growing | None:
+        """Return the recording that it writes, up to date; None before there is one."""
+        if self.growing is None and self._part is not None and self.status is None:
+            with suppress(OSError, KeyError, ValueError):  # not begun yet
+                self.growing = Growing(self._part)
+        if self.growing is not None:
+            self.growing.update()
+        return self.growing
+
+    def signal(self) -> None:
+        """Send the signal of Ctrl-C: the first lets a run ramp down and stop, the second switches off at once."""
+        self.stops += 1
+        self._process.send_signal(signal.SIGINT)
+
+    def end(self) -> None:
+        """Ask it to stop if it was started here, and wait a moment. It is never killed: a run ends under its guard."""
+        if isinstance(self._process, subprocess.Popen):
+            if self.status is None:
+                self.signal()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=5.0)
+        self._files.close()
+
+
+def _end_of(file: Any) -> str:
+    size = os.fstat(file.fileno()).st_size
+    return os.pread(file.fileno(), _SHOWN, max(0, size - _SHOWN)).decode(errors="replace")
+
+
+class Jobs:
+    """The job of the page, at most one. folder: its place."""
+
+    def __init__(self, folder: Folder) -> None:
+        self.folder = folder
+        self.job: Job | None = None
+        self._launching = self._unwanted = False  # a stop may come while a thread starts the process
+        self._watching: set[asyncio.Task[None]] = set()
+
+    @property
+    def running(self) -> Job | None:
+        """The job that runs now, None without one."""
+        return self.job if self.job is not None and self.job.status is None else None
+
+    def find_foreign(self) -> None:
+        """Take over a run that another program has started in this folder, if there is one and nothing else runs."""
+        for part in self.folder.parts() if self.running is None else ():
+            recorder = recorder_of(part)
+            if recorder is not None:
+                self.end()
+                output = part.with_suffix("").relative_to(self.folder.place)
+                self.job = Job(Line("record", [], output, moves=True), self.folder.place, recorder)
+                return
+
+    def start(self, wanted: Mapping[str, Any]) -> Job:
+        """Start a command. Live readings make room for it. Raises WrongUse if another one runs."""
+        self.find_foreign()
+        running = self.running
+        if running is not None and running.line.kind != "readings":
+            raise WrongUse(f"hil {running.line.kind} is running: wait for its end, or stop it first")
+        line = line_of(wanted, self.folder)
+        self.end()  # of readings: a drive answers one program at a time
+        self._launching, self._unwanted = True, False
+        try:
+            self.job = job = Job(line, self.folder.place)
+        finally:
+            self._launching = False
+        if self._unwanted:
+            job.signal()
+        return job
+
+    def end(self) -> None:
+        """End the present job, as `Job.end` says."""
+        if self.job is not None:
+            self.job.end()
+
+    def stop(self) -> None:
+        """Stop what runs, softly; then look for the end of the torque as often as it takes to time it."""
+        self._unwanted = self._launching
+        job = self.running
+        if job is None or self._launching:
+            return
+        job.signal()
+        if job.stops == 1 and job.line.moves:
+            task = asyncio.get_running_loop().create_task(_time_off(job, time.monotonic()))
+            self._watching.add(task)
+            task.add_done_callback(self._watching.discard)
+
+
+async def _time_off(job: Job, asked: float) -> None:
+    while job.off_after is None and time.monotonic() < asked + _SOON:
+        if job.growing is not None and "torque-off" in job.growing.event_codes():
+            job.off_after = time.monotonic() - asked
+        elif job.status is not None:
+            return
+        await asyncio.sleep(_WATCHED)

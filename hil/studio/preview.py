@@ -1,0 +1,75 @@
+"""The preview of a run, as a process of its own, so that its second of computing is ended when a run begins.
+
+`hil design` predicts the same, and searches the best excitation too.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.api.runs import DEFAULT_RATE, excitation, opened_stand, quantity_of
+from hil.errors import WrongUse
+from hil.experiment_design.assessment import LIMITED, UNITS, assess, task_of
+from hil.experiment_design.response import respond, set_points
+from hil.report.formatting import json_number
+from hil.report.pictures.thinning import trace_rows
+from hil.units import quantity
+
+_DIMENSIONS: Final = {"duration": "time", "rate": "frequency", "kc": "stiffness", "bc": "damping"}
+
+
+def preview(stand: str, fields: Mapping[str, str]) -> dict[str, Any]:
+    """Return the preview of a run, SI. stand: a stand file or "sim". fields: the excitation, and rough "kc" and "bc".
+
+    curves: lists by name: time, command and, with a prediction, torque and dtheta. limits: peak, limit, unit and the
+    share used, by name. errors: relative standard errors of Kc and Bc, None if they are not identifiable. said: why
+    there is no prediction. Raises WrongUse for an excitation that `hil record` would refuse.
+    """
+    opened, mode = opened_stand(stand), quantity_of(fields.get("mode", "torque"))
+    units = _DIMENSIONS | {"amplitude": "torque" if mode == "torque" else "angle"}
+    given = {name: _number(name, fields[name], unit) for name, unit in units.items() if name in fields}
+    low, _, high = fields.get("band", "").partition(":")
+    band = (_number("band", low, "frequency"), _number("band", high or low, "frequency")) if low else None
+    rate = given.get("rate", DEFAULT_RATE)
+    size = (given.get("amplitude"), band, given.get("duration"))
+    profile = excitation(opened, fields.get("profile", "chirp"), mode, size, rate=rate, setpoints=None)
+    found = {"amplitude": profile.amplitude, "duration": profile.duration, "rate": rate, "limits": {}, "errors": {}}
+    command = set_points(profile, rate)
+    rough = {"kc": given.get("kc"), "bc": given.get("bc"), "torque_noise": None}
+    try:
+        task = task_of(opened, **rough, model="auto", mode=mode, rate=rate)
+        judged, (motion, _) = assess(task, profile), respond(task.joint, profile, rate)
+    except WrongUse as error:
+        return found | {"said": str(error), "curves": _curves(rate, command=command)}
+    limits = zip(LIMITED, UNITS, judged.peaks, task.limits, judged.shares, strict=True)
+    found["limits"] = {
+        name: {"unit": unit, "peak": p, "limit": most, "used": used} for name, unit, p, most, used in limits
+    }
+    found["errors"] = {name: json_number(judged[name].error / judged[name].rough) for name in ("Kc", "Bc")}
+    return found | {"curves": _curves(rate, command=command, torque=motion.torque, dtheta=motion.dtheta)}
+
+
+def _number(name: str, text: str, dimension: str) -> float:
+    try:
+        return quantity(text, dimension)[0]
+    except WrongUse as error:
+        raise WrongUse(f"{name} {error}") from None
+
+
+def _curves(rate: float, **curves: NDArray[np.float64]) -> dict[str, list[float]]:
+    rows = trace_rows(*curves.values())
+    return {"time": (rows / rate).tolist()} | {name: values[rows].tolist() for name, values in curves.items()}
+
+
+if __name__ == "__main__":
+    try:
+        answer = preview(sys.argv[1], json.loads(sys.argv[2]))
+    except WrongUse as refused:
+        answer = {"refused": str(refused)}
+    sys.stdout.write(json.dumps(answer, allow_nan=False))

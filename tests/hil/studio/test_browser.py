@@ -1,0 +1,346 @@
+"""The page in a real browser, with the command as a person starts it: from a stand to a number, and the stop.
+
+HIL_PICTURES=docs/pictures draws the pictures of README and docs.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
+
+pytestmark = pytest.mark.study
+
+HIL = [sys.executable, "-c", "from hil.cli import main; main()"]
+SOON = 120_000  # ms, on a busy machine
+STAND = """
+[stand]
+name = "an emulated finger"
+backend = "dynamixel"
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 0.06
+deflection = 1.5
+velocity = 60.0
+temperature = 65.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+reply_timeout = 0.3
+watchdog = 1.0
+"""
+
+
+@contextmanager
+def studio(folder: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """`hil studio` in a folder: its link, and its process."""
+    words = [*HIL, "studio", "--port", "0"]
+    with subprocess.Popen(words, cwd=folder, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        try:
+            yield re.findall(r"http://\S+", process.stderr.readline())[0], process
+        finally:
+            for _ in range(3):  # a run is stopped first
+                process.send_signal(signal.SIGINT)
+            process.wait(30)
+
+
+@contextmanager
+def emulated(folder: Path, *words: str) -> Iterator[Path]:
+    """An emulated drive and its stand file in a folder."""
+    stand = folder / "finger.toml"
+    stand.write_text(STAND.format(port=folder / "ttyDXL"))
+    command = [*HIL, "emulate", "dynamixel", "--link", str(folder / "ttyDXL"), "--stand", str(stand), *words]
+    with subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        process.stderr.readline()
+        try:
+            yield stand
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(30)
+
+
+Opened = Callable[..., "Page"]
+
+
+@pytest.fixture
+def opened() -> Iterator[Opened]:
+    """Open a page in a browser of its own; a fault of its scripts fails the test."""
+    sync_playwright = pytest.importorskip("playwright.sync_api", reason="PAGE NOT OPENED: pip install 'hil[study]'")
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("PAGE NOT OPENED IN A BROWSER: there is no chromium; apt-get install chromium")
+    faults: list[str] = []
+    with ExitStack() as stack:
+        driver = [stack.enter_context(sync_playwright.sync_playwright())]
+
+        def begin(link: str, width: int = 1200, **more: Any) -> Page:
+            process = driver[0].chromium.launch(executable_path=browser, args=["--no-sandbox"])
+            stack.callback(process.close)
+            page: Page = process.new_page(viewport={"width": width, "height": 900}, **more)
+            page.set_default_timeout(SOON)
+            page.on("pageerror", lambda error: faults.append(str(error)))
+            page.on("console", lambda one: faults.append(one.text) if "Content Security" in one.text else None)
+            page.goto(link)
+            page.wait_for_selector("#stands input")
+            return page
+
+        yield begin
+    driver.clear()
+    gc.collect()  # the threads of its event loop end with it
+    for thread in threading.enumerate():
+        if thread.name.startswith("asyncio_"):
+            thread.join()
+    assert faults == []
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    return Path(os.environ.get("HIL_PICTURES", tmp_path)).absolute()
+
+
+def wait_for_rows(page: Page) -> None:
+    """Wait until the motor has moved for a second."""
+    page.locator("#state", has_text=re.compile(r"Recording, \d+ s left")).wait_for()
+    page.locator("#figures", has_text=re.compile(r"Kc so far[\d.]")).wait_for()
+
+
+def stopped(page: Page) -> float:
+    """Wait until the page says that the torque is off. Return after how long, ms."""
+    page.locator("#state", has_text="Torque off after").wait_for()
+    return float(re.findall(r"after (\d+) ms", page.inner_text("#state"))[0])
+
+
+def barriers(page: Page) -> list[Any]:
+    """What axe-core finds."""
+    package = find_spec("axe_core_python")
+    assert package is not None
+    assert package.origin is not None
+    page.evaluate(Path(package.origin).with_name("axe.min.js").read_text(encoding="utf-8"))
+    rules = "axe.run(document, { iframes: false })"  # of the report has a test of its own
+    found = page.evaluate(f"{rules}.then((all) => all.violations.map((one) => [one.id, one.nodes[0].html]))")
+    return list(found)
+
+
+def test_from_an_empty_folder_to_a_report_in_three_clicks(opened: Opened, tmp_path: Path, pictures: Path) -> None:
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        assert page.url.endswith("/")  # the token is no longer in the address
+        assert barriers(page) == []
+        page.click("#to-record")
+        page.locator("#predicted", has_text="predicted standard errors: Kc 0.").wait_for()
+        assert barriers(page) == []
+        page.click("#start")
+        wait_for_rows(page)
+        page.locator("#state", has_text=re.compile(r"Recording, ([0-9]|1[0-4]) s left")).wait_for()
+        page.screenshot(path=pictures / "studio_record.png")
+        page.click("#to-identify")
+        report = page.frame_locator("iframe")
+        report.locator("h1", has_text="recordings/run1.h5").wait_for()
+        assert "Kc = 17." in report.locator(".verdict").inner_text()
+        page.locator("#recordings", has_text="Kc = 17.").wait_for()
+        assert barriers(page) == []
+        page.evaluate("window.scrollTo(0, 0)")
+        page.screenshot(path=pictures / "studio_identify.png")
+    assert {path.name for path in tmp_path.iterdir()} - {"studio_record.png", "studio_identify.png"} == {"recordings"}
+    assert {path.name for path in (tmp_path / "recordings").iterdir()} == {"run1.h5", "run1.html"}
+
+
+def test_an_emulated_drive_is_checked_read_asked_about_recorded_and_stopped(opened: Opened, tmp_path: Path) -> None:
+    with emulated(tmp_path), studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.get_by_label("an emulated finger").check()
+        page.click("#readings")
+        page.locator("#reading", has_text=re.compile(r"motor.*rad.*torque at the joint.*N m", re.DOTALL)).wait_for()
+        page.click("#check")
+        page.locator("#checks", has_text="ok connection").wait_for()
+        page.click("#to-record")
+        page.locator("#predicted", has_text="give --kc").wait_for()
+        page.fill("[name=kc]", "17 mN*m/rad")
+        page.fill("[name=bc]", "2e-4")
+        page.locator("#predicted", has_text="predicted standard errors").wait_for()
+        page.fill("[name=amplitude]", "10 mN*m")
+        page.click("#start")
+        assert "an emulated finger" in page.inner_text("#asked")
+        page.click("#no")
+        assert page.get_attribute("body", "data-moving") != "yes"
+        page.click("#start")
+        page.click("#yes")
+        wait_for_rows(page)
+        page.click("#stop")
+        assert stopped(page) > 90.0
+        page.locator("#predicted", has_text="(stopped on request)").wait_for()
+
+
+@pytest.mark.parametrize("key", ["Space", "Escape", "a", "End", "Enter", "Tab"])
+def test_any_key_stops_while_the_motor_moves(opened: Opened, tmp_path: Path, key: str) -> None:
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.click("#to-record")
+        page.focus("[name=duration]")
+        page.keyboard.type("30")
+        page.click("#start")
+        wait_for_rows(page)
+        page.focus("[name=duration]")
+        page.keyboard.press(key)
+        assert stopped(page) > 90.0
+        assert page.input_value("[name=duration]") == "30"
+        page.locator("#predicted", has_text="(stopped on request)").wait_for()
+
+
+def test_the_whole_way_is_possible_with_the_keyboard_alone_at_390_pixels_in_the_dark(
+    opened: Opened, tmp_path: Path, pictures: Path
+) -> None:
+    with studio(tmp_path) as (link, _):
+        page = opened(link, width=390, color_scheme="dark")
+
+        def reach(name: str) -> None:
+            for _ in range(60):
+                page.keyboard.press("Tab")
+                if page.evaluate("document.activeElement.id || document.activeElement.name") == name:
+                    return
+            raise AssertionError(f"{name} cannot be reached with Tab")
+
+        for step in ("stand", "record", "identify"):
+            page.click(f"[data-step={step}]")
+            assert barriers(page) == []
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        page.click("[data-step=stand]")
+        reach("to-record")
+        page.keyboard.press("Enter")
+        reach("duration")
+        page.keyboard.type("5")
+        reach("start")
+        page.keyboard.press("Space")
+        wait_for_rows(page)
+        box = page.locator("#stop").bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= 390
+        page.screenshot(path=pictures / "studio_phone.png")
+        page.wait_for_selector("#to-identify", state="visible")
+        assert page.evaluate("document.activeElement.id") == "to-identify"
+        page.keyboard.press("Enter")
+        page.frame_locator("iframe").locator("h1", has_text="run1.h5").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_a_run_goes_on_when_its_page_is_closed_and_a_second_page_stops_it(opened: Opened, tmp_path: Path) -> None:
+    with studio(tmp_path) as (link, process):
+        page = opened(link)
+        page.click("#to-record")
+        page.fill("[name=duration]", "60")
+        page.click("#start")
+        wait_for_rows(page)
+        second = page.context.new_page()  # of the same browser, without a link
+        page.close()
+        second.goto(link.partition("#")[0])
+        wait_for_rows(second)
+        second.click("#stop")
+        assert stopped(second) > 90.0
+        assert process.poll() is None
+
+
+def test_a_run_survives_a_studio_that_is_killed_and_the_next_one_stops_it(opened: Opened, tmp_path: Path) -> None:
+    with studio(tmp_path) as (link, process):
+        page = opened(link)
+        page.click("#to-record")
+        page.fill("[name=duration]", "120")
+        page.click("#start")
+        wait_for_rows(page)
+        process.kill()
+        page.locator("#banner", has_text="A run goes on under its guard").wait_for()
+        page.keyboard.press("Space")
+        page.locator("#banner", has_text="did not reach hil studio").wait_for()
+        with studio(tmp_path) as (again, _):
+            other = opened(again)
+            wait_for_rows(other)
+            other.keyboard.press("Space")
+            assert stopped(other) > 90.0
+            other.locator("#state", has_text="Torque off").wait_for()
+
+
+def test_ctrl_c_in_the_terminal_stops_the_run_and_then_ends_the_studio(opened: Opened, tmp_path: Path) -> None:
+    with studio(tmp_path) as (link, process):
+        page = opened(link)
+        page.click("#to-record")
+        page.click("#start")
+        wait_for_rows(page)
+        process.send_signal(signal.SIGINT)
+        assert stopped(page) > 90.0
+        assert process.poll() is None
+        page.locator("#predicted", has_text="(stopped on request)").wait_for()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+
+
+def test_a_drive_that_is_unplugged_ends_the_run_with_its_reason(opened: Opened, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        drive = ExitStack()
+        stack.enter_context(drive)
+        drive.enter_context(emulated(tmp_path))
+        link, _ = stack.enter_context(studio(tmp_path))
+        page = opened(link)
+        page.get_by_label("an emulated finger").check()
+        page.click("#to-record")
+        page.click("#start")
+        page.click("#yes")
+        wait_for_rows(page)
+        drive.close()
+        page.locator("#said .error").first.wait_for()
+        assert page.get_attribute("body", "data-moving") == "no"
+
+
+def test_two_recordings_lie_over_each_other_and_a_window_is_dragged(opened: Opened, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        words = [*HIL, "record", "--backend", "sim", "--duration", "4", "--seed", str(len(name)), "-o", f"{name}.h5"]
+        subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.click("[data-step=identify]")
+        page.get_by_label("choose one.h5").check()
+        page.get_by_label("choose two.h5").check()
+        page.locator("#trace-plot .u-legend", has_text="two.h5").wait_for()
+        over = page.locator("#trace-plot .u-over").bounding_box()
+        assert over is not None
+        middle = over["y"] + over["height"] / 2.0
+        page.mouse.move(over["x"] + 0.25 * over["width"], middle)
+        page.mouse.down()
+        page.mouse.move(over["x"] + 0.75 * over["width"], middle)
+        page.mouse.up()
+        assert float(page.input_value("#from")) == pytest.approx(1.0, abs=0.05)
+        assert float(page.input_value("#to")) == pytest.approx(3.0, abs=0.05)
+        page.click("#compare")
+        page.frame_locator("iframe").locator("h1").wait_for()
+        (tmp_path / "two.h5").unlink()
+        page.click("[data-step=stand]")
+        page.click("[data-step=identify]")
+        page.locator("#count", has_text="of 1,").wait_for()
+
+
+def test_a_read_only_folder_and_a_stranger_are_refused_with_a_sentence(opened: Opened, tmp_path: Path) -> None:
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        (tmp_path / "recordings").write_text("a file in the place of the folder")
+        page.click("#to-record")
+        page.click("#start")
+        page.locator("#banner", has_text="cannot be written").wait_for()
+        stranger = page.context.browser.new_page()  # type: ignore[union-attr]
+        stranger.goto(link.partition("#")[0] + "#wrong")
+        stranger.locator("#banner", has_text="this link was used before").wait_for()
