@@ -127,6 +127,12 @@ def keys_of(kind: type, place: Sequence[str]) -> list[str]:
     return [key for key, _ in _hints(kind)]
 
 
+def choices(kind: type, key: str) -> tuple[str, ...]:
+    """Return the texts that a key of a table can have; () if it can have any text, or no text."""
+    values = [value for part in _parts(dict(_hints(kind)).get(key)) for value in get_args(part)]
+    return tuple(value for value in values if isinstance(value, str))
+
+
 @lru_cache(maxsize=256)
 def _hints(kind: type) -> list[tuple[str, Any]]:
     hints = get_type_hints(kind, include_extras=True)

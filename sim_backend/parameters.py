@@ -236,6 +236,11 @@ class SimParameters:
                 f"{lsb:.3g} N m: raise it or lower sensors.current_lsb"
             )
 
+    @property
+    def largest_torque(self) -> float:
+        """The largest torque of the drive, N m at the motor shaft."""
+        return self.drive.torque_limit
+
     def resolved(
         self,
         gear_ratio: float | None = None,

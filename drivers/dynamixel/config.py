@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, get_args
@@ -35,7 +36,7 @@ Baudrate = Literal[9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000]
 class DynamixelConfig:
     """The [dynamixel] table of stand.toml. Raises ValueError if model and mode do not fit each other.
 
-    port: the serial port. model: a name in dynamixel/table.toml. mode: the operating mode; None: current if the model
+    port: the serial port. model: the type of the servo. mode: the operating mode; None: current if the model
     measures current. torque_constant: N m/A at the horn; None: an estimate from the model's stall points. sign: 1 if
     the servo's positive direction is the stand's, else -1. return_delay: s from request to reply. watchdog: s without a
     request after which the servo stops by itself, in steps of 20 ms; 0: never. reply_timeout: s that a reply may take
@@ -85,6 +86,11 @@ class DynamixelConfig:
                 f"dynamixel.watchdog {self.watchdog} s: the {model.name} has none: set it to 0; the motor then stays "
                 "live when this computer stops"
             )
+
+    @property
+    def largest_torque(self) -> float:
+        """The most torque, N m, that the specification states at stall; infinite where it states none."""
+        return max((torque for _, _, torque in models()[self.model].stall), default=math.inf)
 
     def for_quantity(self, quantity: Quantity) -> Self:
         """Return the configuration that commands `quantity`. For positions, choose the mode that limits the torque if

@@ -27,7 +27,7 @@ _CELL = 'put a torque cell at the joint ([joint_sensor] and torque_source = "joi
 class FeetechConfig:
     """The [feetech] table of stand.toml. Raises ValueError if model and mode do not fit each other.
 
-    port: the serial port. model: a name in feetech/table.toml. id: id of the servo; a new servo has 1. baudrate: bit/s;
+    port: the serial port. model: the type of the servo. id: id of the servo; a new servo has 1. baudrate: bit/s;
     a new servo has 1000000. mode: "position", or "torque" with an HLS; None: as the recording commands.
     torque_constant: N m/A at the output shaft; None: an estimate for an HLS, no torque for an STS. sign: 1 if the
     servo's positive direction is the stand's, else -1. return_delay: s from request to reply. reply_timeout: s that a
@@ -50,6 +50,11 @@ class FeetechConfig:
         wrong = list(self._misfits())
         if wrong:
             raise ValueError("; ".join(wrong))
+
+    @property
+    def largest_torque(self) -> float:
+        """The stall torque, N m, of the strongest variant of the model."""
+        return models()[self.model].stall
 
     @property
     def constant(self) -> float:

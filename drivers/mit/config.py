@@ -22,8 +22,8 @@ class MitConfig:
     """The [mit] table of stand.toml. Raises ValueError for a model that is not known, or if values do not fit each
     other.
 
-    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: a name in
-    mit/table.toml. id: the motor's CAN id. reply_id: the CAN identifier of the motor's replies (a Damiao's master id);
+    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: the type
+    of the motor. id: the motor's CAN id. reply_id: the CAN identifier of the motor's replies (a Damiao's master id);
     None: 0 for a Damiao, the motor's id or 0 for an AK. position_range: rad, full scale of the position counts, if it
     differs from the table's. velocity_range: rad/s, full scale of the velocity counts, if it differs from the table's.
     torque_range: N m, full scale of the torque counts, if it differs from the table's. torque_scale: true torque
@@ -68,6 +68,11 @@ class MitConfig:
             self.velocity_range or model.velocity,
             self.torque_range or model.torque,
         )
+
+    @property
+    def largest_torque(self) -> float:
+        """The largest torque that a frame can command, N m."""
+        return self.ranges[2] * self.torque_scale
 
     @property
     def reply_ids(self) -> frozenset[int]:

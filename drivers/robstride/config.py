@@ -21,8 +21,8 @@ else:
 class RobstrideConfig:
     """The [robstride] table of stand.toml. Raises ValueError for an unknown model, or where values do not fit.
 
-    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: a name in
-    robstride/table.toml. id: the motor's. host_id: our id on the bus. position_range: rad, full scale of the counts,
+    interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: the type
+    of the motor. id: the motor's. host_id: our id on the bus. position_range: rad, full scale of the counts,
     where it is not that of the firmware. velocity_range: rad/s, where it is not the table's. torque_range: N m,
     likewise. torque_scale: true torque divided by reported torque. sign: 1 where the motor's positive is the stand's,
     else -1. watchdog: s without a frame after which the motor stops by itself; 0: as the motor has it. reply_timeout: s
@@ -51,6 +51,11 @@ class RobstrideConfig:
         if self.host_id in {self.id, BROADCAST}:
             raise ValueError(f"robstride.host_id {self.host_id} is the motor's id or the broadcast's: choose another")
         check_watchdog("robstride", self.watchdog, self.reply_timeout)
+
+    @property
+    def largest_torque(self) -> float:
+        """The largest torque that a frame can command, N m."""
+        return (self.torque_range or models()[self.model].torque) * self.torque_scale
 
     @property
     def bus(self) -> BusConfig:

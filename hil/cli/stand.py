@@ -36,7 +36,7 @@ def new(
     from hil.recording.output import atomic_write, check_output
     from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor
     from hil.stand.draft import Draft
-    from hil.stand.file import parse
+    from hil.stand.file import checked, parse
 
     check_output(output, force=force)
     if backend is None:
@@ -51,11 +51,11 @@ def new(
     answers = _given(draft, answer or [])
     open_questions = [question for question in draft.questions() if question.key not in answers]
     if yes:
-        _check_defaults(open_questions)
+        _check_defaults(draft, open_questions)
     for question in open_questions:
         answers[question.key] = question.default if yes else _asked(draft, question)
     text = draft.text(answers)
-    parse(text, str(output))
+    checked(parse(text, str(output)), str(output))
     with atomic_write(output, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     note(f"wrote {output}; look at the drive with: hil doctor {quoted(output)}")
@@ -85,17 +85,23 @@ def _given(draft: Draft, words: list[str]) -> dict[str, Any]:
     return answers
 
 
-def _check_defaults(questions: list[Question]) -> None:
-    """Raise WrongUse if a question has no default answer; the message lists all such questions."""
-    missing = [question.key for question in questions if question.default is None]
+def _check_defaults(draft: Draft, questions: list[Question]) -> None:
+    """Raise WrongUse if a question has no default answer; the message lists all such questions and their answers."""
+    missing = [question for question in questions if question.default is None]
     if missing:
-        words = " ".join(f"--set {key}=..." for key in missing)
-        raise WrongUse(f"{', '.join(missing)}: there is no default; add {words}")
+        words = " ".join(f"--set {question.key}=..." for question in missing)
+        known = [said for question in missing if (said := _listed(question, _answers(draft, question)))]
+        keys = ", ".join(question.key for question in missing)
+        raise WrongUse("\n".join([f"{keys}: there is no default; add {words}", *known]))
 
 
 def _asked(draft: Draft, question: Question) -> Any:
-    """Ask the user a question, again until the answer is valid; return the answer."""
-    default = _port_here() if question.name == "port" else question.default
+    """Ask the user a question, again until the answer is valid; return the answer. Known answers are listed first."""
+    default, known = question.default, _answers(draft, question) if question.default is None else []
+    if question.default is None and (said := _listed(question, known)):
+        say(said)
+    if len(known) == 1 and question.name == "port":
+        default = known[0].split()[0]
     meaning = f" ({question.meaning})" if question.meaning else ""
     while True:
         text = typer.prompt(f"{question.key}{meaning}", default=None if default is None else str(default), err=True)
@@ -106,9 +112,22 @@ def _asked(draft: Draft, question: Question) -> Any:
         say(f"{text}: {problem}")
 
 
-def _port_here() -> str | None:
-    """Return the serial port of this computer if it has exactly one, otherwise None."""
-    from drivers.ports import serial_ports
+def _listed(question: Question, known: list[str]) -> str:
+    """Return the sentence that lists the known answers to a question, "" if every text can be one."""
+    if question.name == "port" and not known:
+        return f"{question.key}: no serial port is connected to this computer"
+    return f"{question.key} is one of: {', '.join(known)}" if known else ""
 
-    ports = serial_ports()
-    return ports[0].name if len(ports) == 1 else None
+
+def _answers(draft: Draft, question: Question) -> list[str]:
+    """Return the answers to a question that are known: the values that a key can have, and what this computer has."""
+    from drivers.ports import can_interfaces, serial_ports
+
+    if question.name == "interface":
+        from can.interfaces import VALID_INTERFACES
+
+        return sorted({"damiao", *VALID_INTERFACES})
+    ports = serial_ports() if question.name in {"port", "channel"} else []
+    ports += can_interfaces() if question.name == "channel" else []
+    named = [f"{one.name} ({one.described})" if one.described else one.name for one in ports]
+    return [*draft.choices(question), *named]

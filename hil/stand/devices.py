@@ -10,6 +10,7 @@ So the device's libraries are loaded only if the device is used. A device must f
 * The opener of a joint sensor takes the table and `clock=`, the clock that gives the times of its readings.
 * If the mode of a device determines whether it takes torques or positions, its table has `for_quantity` (`HasMode`).
 * If a device cannot do all that a stand may require of it, its table has `restrictions` (`HasRestrictions`).
+* If the largest torque of a drive is known without opening it, its table has `largest_torque` (`HasLargestTorque`).
 """
 
 from __future__ import annotations
@@ -46,6 +47,15 @@ class HasRestrictions(Protocol):
 
     def restrictions(self, torque_source: str) -> list[str]:
         """Return sentences about what the device cannot do, each with the remedy. torque_source: of the stand."""
+
+
+@runtime_checkable
+class HasLargestTorque(Protocol):
+    """The interface of a table of a drive whose largest torque, N m at the motor shaft, is known without opening it."""
+
+    @property
+    def largest_torque(self) -> float:
+        """The largest torque, N m at the motor shaft."""
 
 
 @dataclass(frozen=True, slots=True)

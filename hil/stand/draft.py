@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from hil.quantities import in_si
+from hil.quantities import choices, in_si
 from hil.stand.devices import BACKENDS, SENSORS
 from hil.stand.file import LimitsTable, StandTable
 from hil.stand.sentences import sentence
@@ -78,6 +78,10 @@ class Draft:
         default.
         """
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
+
+    def choices(self, question: Question) -> tuple[str, ...]:
+        """Return the possible answers to a question; () if there are countless, or they depend on the computer."""
+        return choices(self._class_of(question.table), question.name)
 
     def error(self, question: Question, value: Any) -> str:
         """Return why `value` is not valid as the answer to a question, "" if it is valid."""

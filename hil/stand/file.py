@@ -22,7 +22,7 @@ from hil.errors import WrongUse, meant
 from hil.quantities import Place, Usual, in_si, keys_of
 from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
-from hil.stand.devices import BACKENDS, SENSORS, check_sensor
+from hil.stand.devices import BACKENDS, SENSORS, HasLargestTorque, check_sensor
 from hil.stand.sentences import NO_SUCH_KEY, names_the_value, sentence
 from hil.stand.toml_table import LISTED, errors_in, line_of, parsed
 from hil.stand.winding import WindingTable
@@ -39,6 +39,9 @@ _LARGEST_VALUE, _SMALLEST_VALUE = 1e15, 1e-15
 """The range of the magnitude of a number in a stand file, in SI: no stand has such a value, and no product of a few of
 them overflows.
 """
+
+_BEYOND = 20.0  # times what the drive can apply: no limit can be meant to lie there
+_SLOWEST = 30.0  # rad/s^2: the drive's largest torque divided by the motor's inertia is 600 to 25,000 in known motors
 
 _Error = tuple[Place, str]  # where it is, and what is wrong
 
@@ -191,7 +194,33 @@ def _is_file(name: str) -> bool:
 def load(path: Path) -> Stand:
     """Return the stand in a TOML file. Raises WrongUse with all errors of the file, each with its key."""
     text = read_text(path, largest=LARGEST)
-    return replace(parse(text, str(path)), path=path)
+    return replace(checked(parse(text, str(path)), str(path)), path=path)
+
+
+def checked(stand: Stand, name: str) -> Stand:
+    """Return `stand`. Raises WrongUse for a torque limit or inertia without a unit that no one means with this drive.
+
+    name: of the file. The text in a recording is not checked: its run is over.
+    """
+    drive = stand.devices.get(str(stand.stand.backend), stand.sim if stand.stand.backend == "sim" else None)
+    largest = drive.largest_torque if isinstance(drive, HasLargestTorque) else math.inf
+    table, wrong = parsed(stand.text, name), dict[Place, str]()
+    limit, inertia = table.get("limits", {}).get("torque"), table["stand"].get("motor_inertia", "")
+    at_joint = largest * stand.stand.gear_ratio
+    if isinstance(limit, int | float) and limit > _BEYOND * at_joint:
+        wrong["limits", "torque"] = (
+            f"{limit:g} would be {limit:g} N m, {limit / at_joint:.0f} times the {at_joint:.3g} N m that the drive can "
+            f'apply at the joint: write "{limit:g} mN*m", or "{limit:g} N*m" if it is that'
+        )
+    if isinstance(inertia, int | float) and largest < _SLOWEST * inertia:
+        wrong["stand", "motor_inertia"] = (
+            f"{inertia:g} would be {inertia:g} kg m^2, which the drive's {largest:.3g} N m accelerate by "
+            f'{largest / inertia:.2g} rad/s^2 only: write it with its unit, such as "20 g*cm^2"'
+        )
+    if wrong:
+        lines = [f"line {line_of(stand.text, list(place))}: {_key(place)}: {said}" for place, said in wrong.items()]
+        raise errors_in(name, lines, len(lines))
+    return stand
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:

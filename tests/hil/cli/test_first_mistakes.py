@@ -108,6 +108,7 @@ def test_the_help_shows_the_options_of_the_genetic_algorithm_apart(hil: Hil) -> 
         ("limits.torque", "300", "300 mN*m"),
         ("limits.temperature", "343", "343 K"),
         ("stand.motor_inertia", "10", "10 g*cm^2"),
+        ("limits.torque", "30", "30 mN*m"),  # 1500 times what the drive can do
     ],
 )
 def test_a_number_that_cannot_be_meant_is_refused_with_the_unit_that_was(

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.ports import Port
 from hil.cli.app import run
 from hil.stand.devices import BACKENDS
 from hil.stand.draft import Draft
@@ -47,6 +48,8 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     path = tmp_path / "stand.toml"
     drive = ["dynamixel", ""]  # and no sensor at the joint
     typed = [*drive, "my finger", "-3", "2", "", "", "elbow", "motor", "/dev/ttyUSB1", "xl1", "xl330-m288", "0.05"]
+    here = [Port("/dev/ttyUSB0", "FT232"), Port("/dev/ttyUSB1", "")]
+    monkeypatch.setattr("drivers.ports.serial_ports", lambda: here)
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join([*typed, "", "", ""]) + "\n"))
     assert run(["stand", "new", "-o", str(path)]) == 0
     shown = capfd.readouterr()
@@ -55,6 +58,8 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
         "-3: must be at least 0.001",
         "elbow: must be '",
         "xl1: must be 'mx-106'",
+        "dynamixel.port is one of: /dev/ttyUSB0 (FT232), /dev/ttyUSB1\n",
+        "dynamixel.model is one of: mx-106, ",
     ):
         assert message in shown.err
     stand = load(path)
@@ -65,6 +70,7 @@ def test_a_person_is_asked_again_until_the_answer_can_be(
     ("words", "message"),
     [
         (["--backend", "dynamixel"], "add --set dynamixel.port="),
+        (["--backend", "mit"], "mit.model is one of: ak10-9, "),
         (["--backend", "dinamixel"], "did you mean 'dynamixel'"),
         (["--backend", "dynamixel", "--set", "dynamixel.prt=x"], "did you mean 'dynamixel.port'"),
         (["--set", "limits.torque"], "write KEY=VALUE"),
