@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.terminal import command_line, detail, note, out, out_table, print_json
-from hil.errors import WrongUse
+from hil.errors import WrongUse, decimal_comma
 
 _PARTS = (
     "LOW:HIGH, N m or with a unit: where stiffness is taken; repeat for several [default: 0 to 15 and 15 to 100 %]."
@@ -75,5 +75,6 @@ def _part(text: str) -> tuple[float, float]:
     except WrongUse:
         low = high = 0.0
     if not 0.0 <= low < high:
-        raise WrongUse(f"--part {text!r}: write LOW:HIGH in N m or with a unit, such as 0:7 or 2:7N*m")
+        remedy = decimal_comma(text) or ": write LOW:HIGH in N m or with a unit, such as 0:7 or 2:7N*m"
+        raise WrongUse(f"--part {text!r}{remedy}")
     return low, high

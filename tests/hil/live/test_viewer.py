@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from hil.child import command
-from hil.live.screen import drawn, line
+from hil.live.screen import axis, drawn, line
 from hil.live.state import State
 from hil.live.viewer import beside, opened
 from hil.recording.channels import END_MARK, ROW, Row
@@ -101,6 +101,21 @@ def test_eighty_columns_show_traces_loop_margins_and_preliminary_estimates() -> 
         assert part in text
     for part in ("deflection 20%", "of 1 rad", "preliminary: Kc 20 mN m/rad   Bc 0.3 mN m s/rad", "250 Hz, jitter"):
         assert part in text
+
+
+@pytest.mark.parametrize("low", [-6.3, 16.51, 7.31, 0.0, -2e5])
+@pytest.mark.parametrize("width", [0.0, 0.07, 12.6, 999.0])
+@pytest.mark.parametrize(("cells", "apart"), [(3, 1), (6, 2), (40, 8), (57, 12)])
+def test_the_ticks_of_an_axis_are_round_and_evenly_spaced(low: float, width: float, cells: int, apart: int) -> None:
+    found = axis(low, low + width, cells, apart)
+    assert found is not None
+    start, end = found.ends
+    places = (np.array(found.ticks) - start) / (end - start) * (cells - 1)
+    assert start - 1e-9 <= low <= low + width <= end + 1e-9
+    assert places == pytest.approx(np.round(places), abs=1e-6)
+    assert np.ptp(np.diff(places)) == pytest.approx(0.0, abs=1e-6)
+    assert [float(text) for text in found.texts] == pytest.approx(found.ticks)
+    assert len(set(found.texts)) > 1
 
 
 @pytest.mark.parametrize("written", [0, 1])
