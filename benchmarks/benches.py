@@ -101,7 +101,7 @@ class Reading:
 def record(bench: Bench, seed: int) -> Reading:
     """Return the recording of a bench; the same seed gives the same samples."""
     rng = np.random.default_rng([seed, 4711])
-    motion = _MOTIONS[bench.kind](bench, rng)
+    motion = MOTIONS[bench.kind](bench, rng)
     command, time = motion.deflection[::FINER], motion.time[::FINER]
     if bench.joint is None:
         deflection, pure = command, bench.law(motion, bench.stiffness, bench.damping)
@@ -189,7 +189,7 @@ def _driven(time: Array, command: Array, peak: float, speed: float) -> Motion:
     return Motion(time, scale * deflection, scale * rate, scale * acceleration, step)
 
 
-_MOTIONS: Mapping[str, Callable[[Bench, np.random.Generator], Motion]] = {
+MOTIONS: Mapping[str, Callable[[Bench, np.random.Generator], Motion]] = {
     "multisine": _multisine,
     "chirp": _chirp,
     "prbs": _prbs,

@@ -242,7 +242,9 @@ def benches() -> list[Bench]:
     ]
 
 
-def recorded(bench: Bench, quantity: Quantity, path: Path, *, kind: str = "chirp", duration: float = DURATION) -> Servo:
+def recorded(
+    bench: Bench, quantity: Quantity, path: Path, *, kind: str = "chirp", duration: float = DURATION, rate: float = RATE
+) -> Servo:
     """Record the bench into `path`; return the servo, closed. Raises AssertionError where it did not end well."""
     rig = bench.make()
     servo = rig.open(**dict(bench.position or () if quantity is Quantity.POSITION and not bench.cell else bench.open))
@@ -257,11 +259,11 @@ def recorded(bench: Bench, quantity: Quantity, path: Path, *, kind: str = "chirp
         limit=3.0 * max(bench.size, bench.kc * swing),
     )
     profile = excitation.make(
-        kind, quantity, amplitude=swing, default_amplitude=swing, duration=duration, band=BAND, rate=RATE, seed=0
+        kind, quantity, amplitude=swing, default_amplitude=swing, duration=duration, band=BAND, rate=rate, seed=0
     )
-    header = Header(profile=profile.attributes() | {"rate": RATE}, stand_toml=text)
-    part = RecordingWriter(path, header, tick_count(profile, RATE))
-    outcome = Recorder(parse(text), servo, profile, RATE, part).run(StopRequest())
+    header = Header(profile=profile.attributes() | {"rate": rate}, stand_toml=text)
+    part = RecordingWriter(path, header, tick_count(profile, rate))
+    outcome = Recorder(parse(text), servo, profile, rate, part).run(StopRequest())
     servo.close()
     part.finish(outcome.end_reason)
     part.close()
