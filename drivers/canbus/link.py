@@ -62,6 +62,11 @@ _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyE
 """The errors that slcan raises, or wraps, for bytes that do not form a frame; UnicodeDecodeError is a ValueError."""
 
 
+def interfaces() -> list[str]:
+    """Return the kinds of bus that a stand file can name."""
+    return sorted({"damiao", *can.interfaces.VALID_INTERFACES})
+
+
 @dataclass(frozen=True, slots=True)
 class BusConfig:
     """The configuration of a bus. interface, channel: names of python-can. bitrate: bit/s. data_bitrate: bit/s of the

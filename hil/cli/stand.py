@@ -124,9 +124,9 @@ def _answers(draft: Draft, question: Question) -> list[str]:
     from drivers.ports import can_interfaces, serial_ports
 
     if question.name == "interface":
-        from can.interfaces import VALID_INTERFACES
+        from drivers.canbus.link import interfaces
 
-        return sorted({"damiao", *VALID_INTERFACES})
+        return interfaces()
     ports = serial_ports() if question.name in {"port", "channel"} else []
     ports += can_interfaces() if question.name == "channel" else []
     named = [f"{one.name} ({one.described})" if one.described else one.name for one in ports]
