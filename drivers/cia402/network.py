@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from canopen import Network, ObjectDictionary, RemoteNode, SdoAbortedError, SdoCommunicationError
 from canopen.nmt import NMT_STATES
-from canopen.sdo.client import SdoClient
+from canopen.sdo.client import ReadableStream, SdoClient
 
 from drivers.canbus.link import frame
 from drivers.canbus.requests import Requests
@@ -35,6 +35,9 @@ _HEARTBEAT = 0x700  # and the node's id
 _TRIES = 3
 _SDO_TIMEOUT = 0.1
 """s to wait for an SDO reply: drives process SDOs with low priority."""
+_SEGMENTS = 40
+"""The most segments of an SDO reply, 7 bytes each; the longest that is read is a drive's name."""
+_OUT_OF_MEMORY = 0x05040005  # abort code of CiA 301
 _SDO_WAITS = 20
 """How many times `LinkedNetwork.while_waiting` is called during `_SDO_TIMEOUT`."""
 
@@ -141,8 +144,7 @@ class LinkedNetwork(Network):
         for attempt in range(_TRIES):
             try:
                 if data is None:
-                    held: bytes = self.node.sdo.upload(place.object, place.sub)
-                    return held
+                    return self._upload(place)
                 self.node.sdo.download(place.object, place.sub, data)
                 return data
             except SdoAbortedError as error:
@@ -154,6 +156,21 @@ class LinkedNetwork(Network):
                     raise kind(f"CANopen node {self.node.id} does not reply for object {place}: {error}") from None
                 self.requests.wait_until(0.02, lambda: False)  # a late reply is discarded with the next request
         raise AssertionError
+
+    def _upload(self, place: ObjectIndex) -> bytes:
+        """Return the data of the object `place`. Raises canopen's errors, and BadReply for data without an end."""
+        stream = ReadableStream(self.node.sdo, place.object, place.sub)  # type: ignore[no-untyped-call]  # as above
+        data = b""
+        for _ in range(_SEGMENTS):
+            part: bytes = stream.read(7)  # type: ignore[no-untyped-call]  # as above
+            if not part:
+                return data
+            data += part
+        self.node.sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]  # as above
+        raise BadReply(
+            f"CANopen node {self.node.id} sends object {place} without an end, {len(data)} bytes so far: update the "
+            "drive's firmware, or look for a second program that uses its SDO"
+        )
 
     def _classify(self, message: can.Message) -> Hashable | None:
         if message.is_extended_id or message.is_remote_frame:

@@ -14,6 +14,7 @@ from drivers.cia402.profiles import NOT_ENABLED, ObjectIndex
 from drivers.cia402.scan import search
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity
 from sim_backend.wire.canopen.node import HEARTBEAT_LOST, PRE_OPERATIONAL
+from sim_backend.wire.canopen.sdo import SdoServer
 from sim_backend.wire.cia402.device import FOLLOWING_ERROR, OVERCURRENT, Cia402Device
 from sim_backend.wire.cia402.machine import Cia402State
 from sim_backend.wire.faults import (
@@ -91,6 +92,28 @@ def test_an_sdo_reply_with_too_few_or_too_many_bytes_is_a_bad_reply_and_leaves_n
     monkeypatch.setattr(LinkedNetwork, "read", lambda *_: bytes(size))
     with pytest.raises(BadReply, match=f"{size} bytes"):
         servo._node.objects.put(ObjectIndex(0x6080, 0), 1 << 8 * size, size)
+
+
+def test_an_sdo_reply_without_an_end_is_given_up_and_leaves_no_torque(
+    make_cia402: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = make_cia402()
+    servo = armed(rig)
+    answer = SdoServer.answer
+
+    def endless(server: SdoServer, request: bytes) -> bytes | None:
+        if request[0] >> 5 == 2:  # an upload begins
+            return b"\x40" + request[1:4] + bytes(4)
+        return bytes([request[0] & 0x10]) + bytes(7) if request[0] >> 5 == 3 else answer(server, request)
+
+    monkeypatch.setattr(SdoServer, "answer", endless)
+    begun = rig.clock.now()
+    with pytest.raises(BadReply, match=r"0x6041:00 without an end, 280 bytes so far"):
+        servo._node.network.read(ObjectIndex(0x6041, 0))
+    with pytest.raises(DriverError, match="without an end"):  # the alarm: the drive's state cannot be read
+        servo.disarm()
+    assert not rig.motor.enabled
+    assert rig.clock.now() - begun < 1.0
 
 
 def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(make_cia402: Make) -> None:
