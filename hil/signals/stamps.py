@@ -20,7 +20,8 @@ _IN_BURSTS = 0.3  # share of such steps from which rows arrived in bursts: sampl
 _ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of it
 _FULL = 1.05  # of a unit: the range of stamps that were all cut off alike, but for what a fitted pace is off
 _LOOKED = 1000  # stamps at either end that show whether they are
-_APART = 4.0  # median steps between two samples above which they belong to two stretches
+APART = 4.0
+"""Median steps between two samples, above which they belong to two pieces."""
 _SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
@@ -28,7 +29,7 @@ def pieces(time: Array) -> list[slice]:
     """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause."""
     steps = np.diff(time)
     usual = float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else np.inf
-    ends = np.flatnonzero(steps > usual * max(_APART, _MANY * len(time))) + 1
+    ends = np.flatnonzero(steps > usual * max(APART, _MANY * len(time))) + 1
     return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time)])]
 
 
@@ -140,7 +141,7 @@ def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArr
     sound (n,): which samples are valid. step: usual time between two samples, s.
     """
     places = np.flatnonzero(sound)
-    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > _APART * step)) + 1
+    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > APART * step)) + 1
     parts = [part for part in np.split(places, breaks) if len(part) >= _SHORTEST]
     kept = np.zeros(len(time), dtype=bool)
     for part in parts:

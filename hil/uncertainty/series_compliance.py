@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
+from hil.signals.stamps import mean_step, pieces
 
 Array = NDArray[np.float64]
 
@@ -56,14 +57,17 @@ class Excitation:
     @classmethod
     def of(cls, time: Array, dtheta: Array) -> Excitation:
         """Return the excitation of a recording: deflection (n,) rad at times (n,) s, which need not be evenly
-        spaced.
+        spaced. The powers of the pieces between pauses are added.
         """
-        even = np.interp(np.linspace(time[0], time[-1], len(time)), time, dtheta)
-        # flat but for its ends: a window over all of it would weigh a sweep's frequencies by their hour
-        rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, len(even) // _TAPER + 1) / (len(even) // _TAPER + 1))
-        window = np.concatenate([rise, np.ones(len(even) - 2 * len(rise)), rise[::-1]])
-        power = np.abs(np.fft.rfft((even - even.mean()) * window)) ** 2
-        return cls(np.fft.rfftfreq(len(even), (time[-1] - time[0]) / (len(time) - 1)), power)
+        count, power = len(time), np.zeros(len(time) // 2 + 1)
+        for part in pieces(time):
+            at, rows = time[part], part.stop - part.start
+            even = np.interp(np.linspace(at[0], at[-1], rows), at, dtheta[part])
+            # flat but for its ends: a window over all of it would weigh a sweep's frequencies by their hour
+            rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows // _TAPER + 1) / (rows // _TAPER + 1))
+            window = np.concatenate([rise, np.ones(rows - 2 * len(rise)), rise[::-1]])
+            power += np.abs(np.fft.rfft((even - even.mean()) * window, count)) ** 2
+        return cls(np.fft.rfftfreq(count, mean_step(time)), power)
 
 
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:

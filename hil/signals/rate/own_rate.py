@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
+from hil.signals.stamps import APART
 
 Array = NDArray[np.float64]
 
@@ -96,30 +97,38 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     highest: the upper end of the excited band, Hz.
     """
     good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
-    time, given, derived = time[good], given[good], derived[good]
+    longest = _LONGEST / highest
+    known, inside = (time[good], derived[good]), _inside(time[good], longest)
+    time, given, derived = time[good][inside], given[good][inside], derived[good][inside]
     power = float(derived @ derived)
     if power == 0.0:
         return None
 
     def left(lag: float) -> tuple[float, float]:
-        shifted = np.interp(time - lag, time, derived)
+        shifted = np.interp(time - lag, *known)
         size = float(shifted @ given) / float(shifted @ shifted)
         return float(np.sum((given - size * shifted) ** 2)), size
 
     from scipy.optimize import minimize_scalar
 
-    longest = _LONGEST / highest
     coarse = longest * np.arange(-_FINE, _FINE + 1) / _FINE
     nearest = float(coarse[np.argmin([left(lag)[0] for lag in coarse.tolist()])])
     width = longest / _FINE
     lag = float(minimize_scalar(lambda at: left(at)[0], bounds=(nearest - width, nearest + width), method="bounded").x)
     rest, size = left(lag)
-    turning = np.gradient(derived, time)
+    turning = np.gradient(known[1], known[0])[inside]
     independent = max(1.0, min(float(len(time)), _EFFECTIVE * highest * float(time[-1] - time[0])))
     error = np.sqrt(rest / len(time) / independent)  # of a rate of 1 rad/s, coloured as the band is
     late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), _SURE * error / float(np.sqrt(np.mean(turning**2))))
     other = abs(size - 1.0) > max(_PHASE, _SURE * error / float(np.sqrt(power / len(time))))
     return OwnRate(lag, size) if late or other else None
+
+
+def _inside(time: Array, margin: float) -> NDArray[np.bool_]:
+    """Return which samples at rising times (n,), s, are farther than `margin`, s, from every gap: a lag leads there."""
+    gaps = np.flatnonzero(np.diff(time) > APART * np.median(np.diff(time)))
+    edges = np.sort(np.concatenate([time[gaps], time[gaps + 1]]))
+    return np.searchsorted(edges, time - margin) == np.searchsorted(edges, time + margin, side="right")
 
 
 def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:

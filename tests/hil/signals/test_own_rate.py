@@ -118,3 +118,11 @@ def test_differences_are_recognised_by_their_errors(shift: int) -> None:
     assert is_difference(TIME, read[0], rate, RATE)
     assert not is_difference(TIME, read[1], rate, RATE)
     assert not is_difference(TIME, read[0], RATE, RATE)
+
+
+def test_the_rate_is_not_compared_across_the_gaps_between_short_pieces() -> None:
+    late = TIME + 0.5 * (np.arange(len(TIME)) // 100)
+    assert own_rate(late, RATE, RATE + 1e-3 * NOISE[1], 12.0) is None
+    found = own_rate(late, delayed(RATE, 0.004), RATE, 12.0)
+    assert found is not None
+    assert (found.lag, found.size) == pytest.approx((0.004, 1.0), abs=1e-5)

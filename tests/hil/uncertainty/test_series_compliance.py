@@ -131,3 +131,12 @@ def test_a_deflections_excitation_is_where_it_moved() -> None:
     assert found.frequency[np.argmax(found.power)] == pytest.approx(4.0, abs=0.11)
     near = np.abs(found.frequency - 4.0) < 0.5
     assert found.power[near].sum() > 0.95 * found.power.sum()
+
+
+def test_pauses_add_no_motion_to_the_excitation() -> None:
+    time = np.linspace(0.0, 8.0, 4001)
+    angle = 0.3 * np.sin(2.0 * math.pi * 4.0 * time)
+    late = time + 3.0 * (time > 2.0) + 7.0 * (time > 5.0)
+    found = Excitation.of(late, angle + 0.5 * (time > 5.0))
+    near = np.abs(found.frequency - 4.0) < 1.0
+    assert found.power[near].sum() > 0.95 * found.power.sum()
