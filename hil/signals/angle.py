@@ -22,6 +22,9 @@ _BESIDE = 65  # readings around one, by which that distance is usual there
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
 _CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
+_BURST = 64  # rows that a burst of wrong readings lasts at most
+_JUMP = 0.3  # of the largest step, from which a distance from the cubic is a jump: five readings a period have less
+_GOES_ON = 0.5  # of the angle's distance from the cubic, up to which the torque does not follow it
 _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
@@ -87,11 +90,9 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     neighbours' readings are far from their cubics too, but not in the pattern that a single wrong reading causes.
     """
     wrong = np.zeros(len(angle), dtype=bool)
-    if len(angle) < 2 * len(_CUBIC):
+    off, far = _far(angle)
+    if not far.size:
         return wrong
-    off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
-    least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
-    far = np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
     far = far[(far >= 2) & (far < len(off) - 2)]
     around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
     far = far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])]
@@ -100,6 +101,43 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
     wrong[far[np.abs(off[far]) > _ODD * 1.4826 * np.median(beside, axis=1)] + 2] = True
     return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
+
+
+def _far(angle: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far."""
+    if len(angle) < 2 * len(_CUBIC):
+        return np.zeros(0), np.zeros(0, dtype=np.int64)
+    off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
+    least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
+    return off, np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
+
+
+def bursts(angle: Array, torque: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of an angle, rad, lie in a short burst of wrong ones: random, held or displaced.
+
+    torque (n,): N m. The angle jumps from the cubic through its neighbours, and the torque stays on its own, as it
+    would not if the joint had moved so.
+    """
+    wrong = np.zeros(len(angle), dtype=bool)
+    angle = unwrapped(angle, torque)[0] if len(angle) else angle
+    off, far = _far(angle)
+    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BURST) + 1) if part.size]
+    rows = [slice(int(part[0]) + 1, int(part[-1]) + 4) for part in groups]
+    for part in rows:
+        wrong[part] = True
+    if wrong.all() or not rows:
+        return np.zeros_like(wrong)
+    slope = np.cov(angle[~wrong], torque[~wrong])[0] @ [0, 1] / max(np.var(angle[~wrong]), 1e-300)
+    carried = np.convolve(torque - torque.mean(), _CUBIC, mode="valid") / slope if slope else np.full_like(off, np.inf)
+    changes = np.concatenate([[0], np.flatnonzero(np.diff(angle)) + 1, [len(angle)]])  # a reading that is held joins
+    for part in rows:
+        near = slice(part.start - 1, part.stop - 3)
+        jumps = np.abs(off[near]).max() > _JUMP * np.abs(np.diff(angle[part.start - 1 : part.stop + 1])).max()
+        follows = np.linalg.norm(carried[near]) > _GOES_ON * np.linalg.norm(off[near])
+        first = min(part.start, int(changes[np.searchsorted(changes, part.start + 1, "right") - 1]))
+        last = max(part.stop, int(changes[np.searchsorted(changes, part.stop - 2, "right")]))
+        wrong[first:last] = jumps and not follows and last - first <= _BURST
+    return wrong if np.count_nonzero(wrong) <= _RARE * len(angle) else np.zeros_like(wrong)
 
 
 def far_zero(angle: Array) -> float:

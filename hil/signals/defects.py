@@ -15,7 +15,7 @@ from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
-from hil.signals.angle import frozen, spikes
+from hil.signals.angle import bursts, frozen, spikes
 from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
@@ -145,7 +145,7 @@ def usable_rows(
     stuck, odd = np.zeros((2, len(time)), dtype=bool)
     finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
     stuck[finite] = frozen(time[finite], dtheta[finite], torque[finite])
-    odd[finite] = spikes(dtheta[finite])
+    odd[finite] = spikes(dtheta[finite]) | bursts(dtheta[finite], torque[finite])
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
     good &= ~stuck & ~odd
     kept = slice(None) if good.all() else good

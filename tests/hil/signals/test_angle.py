@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.signals.angle import far_zero, frozen, spikes, unwrapped
+from hil.signals.angle import bursts, far_zero, frozen, spikes, unwrapped
 
 TIME = np.arange(5000) / 500.0
 ANGLE = 0.3 * np.sin(2.0 * np.pi * TIME)
@@ -127,7 +127,9 @@ def test_single_wrong_readings_are_found_whatever_the_counts(size: float) -> Non
 )
 @pytest.mark.parametrize("count", [1e-9, 1e-3])
 def test_no_reading_of_a_sharp_held_or_noisy_motion_counts_as_wrong(angle: np.ndarray, count: float) -> None:
-    assert not spikes(count * np.round(angle / count)).any()
+    read = count * np.round(angle / count)
+    assert not spikes(read).any()
+    assert not bursts(read, 0.3 * angle + 0.01 * np.gradient(angle)).any()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -137,3 +139,16 @@ def test_no_reading_of_a_chirp_counts_as_wrong_where_stamps_jitter_and_replies_a
     read_at = time + rng.uniform(-1e-4, 1e-4, len(time))
 
     assert not spikes(0.35 * np.sin(2.0 * np.pi * 0.1 * np.expm1(read_at * 0.25) / 0.25)).any()
+
+
+@pytest.mark.parametrize("kind", ["random", "held", "zero", "displaced"])
+def test_a_short_burst_of_wrong_readings_is_found_as_the_torque_does_not_follow_it(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    torque, read = 0.3 * ANGLE + 1e-4 * rng.standard_normal(len(ANGLE)), ANGLE.copy()
+    for start, rows in ((700, 8), (1650, 30), (4000, 20)):
+        part = slice(start, start + rows)
+        wrong = {"random": rng.uniform(-1.0, 1.0, rows), "held": read[start - 1], "zero": 0.0}
+        read[part] = wrong.get(kind, read[part] + 0.4)
+        assert bursts(read, torque)[start + 1 : start + rows].all()
+    assert np.count_nonzero(bursts(read, torque)) < 80
+    assert not bursts(read, 0.3 * read).any()
