@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, meant
-from hil.exchange import messages
+from hil.exchange import nested
 from hil.exchange.headings import heading, listed
 from hil.recording.channels import CHANNELS
 from hil.recording.input import bounded, open_input
@@ -133,7 +133,7 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
             f"{source} lacks the definition of {kind}, the type of {topic}, so no message can be read: convert "
             "the bag to MCAP, which keeps definitions, where the type is installed: ros2 bag convert"
         )
-    found = messages.columns(f"{source}: {topic}", _messages(reader, topic), joint, alone=kind == JOINT_STATE)
+    found = nested.columns(f"{source}: {topic}", _messages(reader, topic), joint, alone=kind == JOINT_STATE)
     if not found.read:
         raise WrongUse(f"{source}: {topic} has no messages: name another --topic; {_has(kinds)}")
     if joint is not None and not found.joints:
@@ -141,14 +141,14 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
     if not found.stamps or (found.joint is None and kind == JOINT_STATE):
         asked = "name the joint with --joint" if joint is None else f"{topic} has no joint {joint!r}"
         raise WrongUse(f"{source}: {asked}; it has {listed(found.joints)}")
+    numbers = {name: nested.plain(values) for name, values in found.values.items()}
     if kind == SAMPLE:
-        return {heading(name): values for name, values in found.numbers.items() if name in CHANNELS}
-    numbers = found.numbers
+        return {heading(name): values for name, values in numbers.items() if name in CHANNELS}
     if found.joint is not None:  # an interface of ros2_control is in SI as a joint state is
         numbers = {
             f"{name} [{UNITS[name]}]" if name in UNITS else name: values
             for name, values in numbers.items()
-            if np.isfinite(values).any()
+            if values.dtype.kind != "f" or np.isfinite(values).any()
         }
     return numbers if "time" in numbers else {"time [s]": _seconds(found.stamps)} | numbers
 

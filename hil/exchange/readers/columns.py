@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.exchange.nested import plain
 from hil.recording.interval import seconds
 
 Array = NDArray[np.float64]
@@ -18,7 +19,7 @@ Columns = Mapping[str, Callable[[], Any]]
 """For each heading a function that reads the column (n,): numbers, texts, or dates and times (datetime64, timedelta64).
 """
 
-_MOST = 256  # columns of one matrix, or numbers of one row
+_MOST = 256  # columns of one matrix
 _UNIT_KEYS = ("units", "unit", "Units", "Unit", "unit_string")
 _SECOND = np.timedelta64(1, "s")
 
@@ -53,47 +54,16 @@ def of_matrix(name: str, values: Any, *, matlab: bool = False) -> Iterator[tuple
         yield name if alone else f"{name}({','.join(words)})" if matlab else f"{name}[{','.join(words)}]", index
 
 
-def of_row(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the values in a row of nested objects and lists, each with its path: "wrench.torque.z", "q[2]"."""
-    if isinstance(value, Mapping):
-        for name, item in value.items():
-            yield from of_row(f"{path}.{name}" if path else str(name), item)
-    elif isinstance(value, list | tuple | np.ndarray):
-        for index, item in enumerate(value[:_MOST]):
-            yield from of_row(f"{path}[{index}]", item)
-    else:
-        yield path, value
-
-
-def of_rows(rows: Iterator[Any]) -> dict[str, list[Any]]:
-    """Return the values of nested rows as columns by path, None in a row that lacks the path."""
-    found: dict[str, list[Any]] = {}
-    count = 0
-    for count, row in enumerate(rows, start=1):
-        for path, value in of_row("", row):
-            column = found.setdefault(path, [])
-            column.extend([None] * (count - 1 - len(column)))
-            column.append(value)
-    return {path: column + [None] * (count - len(column)) for path, column in found.items()}
-
-
-def from_values(named: Mapping[str, list[Any]]) -> Columns:
+def from_values(named: Mapping[str, Sequence[Any]]) -> Columns:
     """Return columns of Python's values; dates and times, also as text in ISO 8601, in s."""
     found: dict[str, Callable[[], Any]] = {}
     for name, values in named.items():
-        first = next((one for one in values if one is not None), None)
+        first = next((one for one in values if isinstance(one, str | datetime | time)), None)
         if seconds(first) is not None:
             found[f"{name} [s]"] = partial(_stamps, values)
-        elif first is not None:
+        else:
             found[name] = partial(plain, values)
     return found
-
-
-def plain(values: list[Any]) -> NDArray[Any]:
-    """Return Python's values as a column (n,): of numbers, NaN for None; or else of texts."""
-    if all(one is None or isinstance(one, bool | int | float) for one in values):
-        return np.array([math.nan if one is None else float(one) for one in values])
-    return np.array(["" if one is None else str(one) for one in values])
 
 
 def numbers(values: Any) -> Array | None:
@@ -106,6 +76,6 @@ def numbers(values: Any) -> Array | None:
     return np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None
 
 
-def _stamps(values: list[Any]) -> Array:
+def _stamps(values: Sequence[Any]) -> Array:
     found = (seconds(one) for one in values)
     return np.array([math.nan if one is None else one for one in found])

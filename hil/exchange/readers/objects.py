@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hil.errors import WrongUse
-from hil.exchange.readers.columns import Columns, from_values, of_rows
+from hil.exchange.nested import columns, names_of, written
+from hil.exchange.readers.columns import Columns, from_values
 
 
 def read(source: Path) -> Columns:
@@ -32,21 +34,26 @@ def read(source: Path) -> Columns:
             raise WrongUse(
                 f"{source}, line {at}: this is not JSON ({error.msg}): mend the line, or delete it"
             ) from None
-    return from_values(of_rows(iter(rows)))
+    return from_values(_of_rows("", rows))
 
 
-def _of_document(name: str, value: Any) -> dict[str, list[Any]]:
+def _of_rows(name: str, rows: list[Any], beside: Any = None) -> dict[str, Sequence[Any]]:
+    found = columns("JSON", enumerate(rows), beside=beside).values
+    return {written([name, path] if path and name else [name or path]): column for path, column in found.items()}
+
+
+def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Sequence[Any]]:
     """Return the columns in one JSON value: a list of numbers is a column, a list of objects or lists a table."""
     if isinstance(value, dict):
+        names = {**(beside or {}), **names_of(value.values())}
         inner = {f"{name}.{key}" if name else key: item for key, item in value.items()}
-        return {path: column for key, item in inner.items() for path, column in _of_document(key, item).items()}
-    if not isinstance(value, list):
-        return {name: [value]} if name else {}
-    if not any(isinstance(item, dict | list) for item in value):
-        return {name or "data": value}
-    if not any(isinstance(item, dict) for item in value) and len(value) < len(value[0]):  # columns, not rows
-        value = np.array(value, dtype=object).T.tolist()
-    return {
-        f"{name}{'' if path.startswith('[') or not name else '.'}{path}": column
-        for path, column in of_rows(iter(value)).items()
-    }
+        return {path: column for key, item in inner.items() for path, column in _of_document(key, item, names).items()}
+    rows = value if isinstance(value, list) else [value]
+    if not any(isinstance(item, dict) for item in rows) and _is_across(rows):
+        rows = np.array(rows, dtype=object).T.tolist()
+    return _of_rows(name, rows, beside) if rows else {}
+
+
+def _is_across(rows: list[Any]) -> bool:
+    """Return whether lists are columns, and not rows."""
+    return isinstance(next(iter(rows), None), list) and len(rows) < len(rows[0])

@@ -96,6 +96,22 @@ def json_lines(path: Path) -> None:
     path.write_text("\n".join(map(json.dumps, rows)) + '\n{"at": "2024-05-01T12:')  # the power was lost
 
 
+def named_lines(path: Path) -> None:
+    orders = (["finger", "thumb"], ["thumb", "finger"])
+    own = dict(zip(orders[0], BOTH.T.tolist(), strict=True))
+    rows = [
+        {"name": orders[k % 2], "effort": [own[one][k] for one in orders[k % 2]], "motors": [{"id": 3, "q": k}]}
+        for k in range(len(TIME))
+    ]
+    path.write_text("\n".join(map(json.dumps, rows)))
+
+
+def named_parquet(path: Path) -> None:
+    arrow, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    named_lines(path)
+    pq.write_table(arrow.Table.from_pylist([json.loads(line) for line in path.read_text().splitlines()]), path)
+
+
 def numpys(path: Path) -> None:
     np.savez(path, t=TIME, both=BOTH)
 
@@ -105,8 +121,11 @@ def json_document(path: Path) -> None:
 
 
 SIGNALS = {"out.time": TIME, "out.signals(1).values": TAU, "out.signals(2).values(:,2)": ANGLE, "M(:,2)": ANGLE}
+NAMED = {"effort.finger": TAU, "effort.thumb": ANGLE, "motors.3.q": np.arange(40.0)}
 UNPACKED = np.array([1.0, 11.0, np.nan] + 37 * [1.5])
 WRITERS: Mapping[str, tuple[Callable[[Path], None], Mapping[str, Any]]] = {
+    "named.jsonl": (named_lines, NAMED),
+    "named.parquet": (named_parquet, NAMED),
     "v7.mat": (mat_v7, SIGNALS | {"R(1,:)": TAU, "c{1}(2,:)": ANGLE}),
     "v73.mat": (mat_v73, SIGNALS),
     "v4.mat": (lambda path: savemat(path, {"M": BOTH}, format="4"), {"M(:,1)": TAU}),

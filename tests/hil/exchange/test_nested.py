@@ -11,7 +11,7 @@ import pytest
 
 from hil.errors import WrongUse
 from hil.exchange.columns import place
-from hil.exchange.messages import Columns, columns
+from hil.exchange.nested import Columns, columns
 
 
 @dataclass
@@ -88,7 +88,7 @@ def read(*messages: Any, joint: str | None = None) -> Columns:
 
 def test_the_numbers_of_a_joint_are_found_in_whatever_order_the_joints_are_sent() -> None:
     found = read(states("finger", "thumb"), states("thumb", "finger"), states("thumb"), joint="finger")
-    assert {name: values.tolist() for name, values in found.numbers.items()} == {
+    assert {name: list(values) for name, values in found.values.items()} == {
         "effort": [0.1, 0.1],
         "position": [0.2, 0.2],
     }
@@ -97,7 +97,7 @@ def test_the_numbers_of_a_joint_are_found_in_whatever_order_the_joints_are_sent(
 
 
 def test_without_a_joint_each_number_has_the_names_in_its_path_and_no_index(tmp_path: Path) -> None:
-    numbers = read(states("thumb"), states("finger", "thumb")).numbers
+    numbers = read(states("thumb"), states("finger", "thumb")).values
     np.testing.assert_array_equal(numbers["interface_values.finger.values.effort"], [np.nan, 0.1])
     with pytest.raises(WrongUse, match=r"stand beside names, whose order changes .*: choose by name"):
         place(tmp_path, list(numbers), "interface_values[0].values[0]")
@@ -116,8 +116,8 @@ def test_without_a_joint_each_number_has_the_names_in_its_path_and_no_index(tmp_
     ],
 )
 def test_names_above_the_values_and_names_in_each_value_count_too(message: Any, path: str, value: float) -> None:
-    assert read(message).numbers[path] == [value]
+    assert list(read(message).values[path]) == [value]
 
 
 def test_values_whose_names_are_not_unique_are_not_read() -> None:
-    assert read(Links(["tip", "tip"], [Point(z=1.0), Point(z=2.0)])).numbers == {}
+    assert read(Links(["tip", "tip"], [Point(z=1.0), Point(z=2.0)])).values == {}

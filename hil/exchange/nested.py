@@ -1,0 +1,157 @@
+"""Columns from nested rows, as messages and lines of JSON are: each value has a path, of fields and of names beside it.
+
+The order of the joints in a message changes from start to start. So where a list of names stands beside the values, as
+in a DynamicJointState, a value is found by its name; it has no index.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.errors import WrongUse
+
+Names = Mapping[int, tuple[str, ...]]  # the names beside values, by their number
+
+_MOST_VALUES = 256  # of one array without names
+_MOST_COLUMNS = 10_000
+_NAMING = ("name", "key", "child_frame_id", "joint_name", "joint", "id")  # fields with the name of what they are in
+_NOT_READ = frozenset({"__msgtype__", "header"})
+
+
+class Value(NamedTuple):
+    """A number, a text or a date in a row. path: the fields and names that lead to it. named: the names among them."""
+
+    path: tuple[str, ...]
+    value: Any
+    named: tuple[str, ...]
+
+
+class Columns(NamedTuple):
+    """The values in rows. read: the number of rows. stamps: of those with values, ns. values: the columns by path, (n,)
+    each. joint: the name left out of the paths. joints: the outermost names in all paths.
+    """
+
+    read: int
+    stamps: Sequence[int]
+    values: dict[str, Sequence[Any]]
+    joint: str | None
+    joints: list[str]
+
+
+def columns(
+    source: str, rows: Iterable[tuple[int, Any]], joint: str | None = None, *, alone: bool = False, beside: Any = None
+) -> Columns:
+    """Return the values in nested rows as columns. A value that a row lacks is NaN.
+
+    rows: each with its stamp, ns. joint: only values with this name in their path are returned, from the rows that have
+    any; a path is then its last part alone, as far as that is unique. alone: the same for the only name, if there is
+    one name. beside: names that stand beside all rows. Raises WrongUse for more than 10,000 columns.
+    """
+    stamps, kept, joints, read = array("q"), dict[tuple[str, ...], Any](), dict[str, None](), 0
+    for stamp, row in rows:
+        read += 1
+        values = list(_values((), (), row, beside or {}))
+        joints.update((one.named[0], None) for one in values if one.named)
+        if joint is not None and not (values := [one for one in values if joint in one.named]):
+            continue
+        for one in values:
+            column = kept.setdefault(one.path, array("d"))
+            column.extend([math.nan] * (len(stamps) - len(column)))
+            try:
+                column.append(math.nan if one.value is None else one.value)
+            except (TypeError, OverflowError):  # no number
+                kept[one.path] = [*column, one.value]
+        stamps.append(stamp)
+        if len(kept) > _MOST_COLUMNS:
+            raise WrongUse(f"{source}: its rows hold more than {_MOST_COLUMNS} numbers: name another topic")
+    for column in kept.values():
+        column.extend([math.nan] * (len(stamps) - len(column)))
+    joint = next(iter(joints)) if joint is None and alone and len(joints) == 1 else joint
+    paths = list(map(written, kept)) if joint is None else _without(joint, list(kept))
+    return Columns(read, stamps, dict(zip(paths, kept.values(), strict=True)), joint, list(joints))
+
+
+def written(path: Sequence[str]) -> str:
+    """Return a path as a user types it, such as "wrench.torque.z" or "q[2]"."""
+    return ".".join(path).replace(".[", "[")
+
+
+def names_of(fields: Iterable[Any]) -> dict[int, tuple[str, ...]]:
+    """Return the lists of names among the fields of a row; of lists with as many names, each with all its names."""
+    found: dict[int, tuple[str, ...]] = {}
+    for value in fields:
+        if _is_names(value):
+            others = found.get(len(value))
+            pairs = zip(value if others is None else others, value, strict=True)
+            found[len(value)] = tuple(value) if others is None else tuple(map("|".join, pairs))
+    return found
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(item, str) for item in value)
+
+
+def _without(joint: str, paths: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return the paths of one joint's values without its name: the last part of each, as far as that is unique."""
+    left = [tuple(part for part in path if part != joint) or path for path in paths]
+    lasts = [path[-1] for path in left]
+    return [path[-1] if lasts.count(path[-1]) == 1 else written(path) for path in left]
+
+
+def _values(path: tuple[str, ...], named: tuple[str, ...], value: Any, beside: Names) -> Iterator[Value]:
+    """Yield the values of a row or of a part of it. beside: the names in this part and in those it is part of."""
+    if isinstance(value, np.ndarray | list | tuple):
+        yield from _elements(path, named, value, beside)
+    elif (fields := _fields(value)) is None:
+        yield Value(path, value, named)
+    elif "value" in fields and len(fields) == 2 and {*fields} & {*_NAMING}:  # a KeyValue has its number as a text
+        with suppress(ValueError, TypeError):
+            yield Value(path, float(fields["value"]), named)
+    else:
+        beside = {**beside, **names_of(fields.values())}
+        for name, item in fields.items():
+            if not _is_names(item):
+                yield from _values((*path, name), named, item, beside)
+
+
+def _fields(value: Any) -> Mapping[str, Any] | None:
+    """Return the fields of an object or a message, None for a value."""
+    if isinstance(value, Mapping):
+        return value
+    known = getattr(value, "__dataclass_fields__", None)
+    return None if known is None else {name: getattr(value, name) for name in known if name not in _NOT_READ}
+
+
+def _elements(path: tuple[str, ...], named: tuple[str, ...], values: Any, beside: Names) -> Iterator[Value]:
+    names = _own_names(values) or beside.get(len(values))
+    if names:
+        for name, item in zip(names, values, strict=True):
+            if names.count(name) == 1:  # which of two is meant is not known
+                yield from _values((*path, name), (*named, name), item, beside)
+    elif len(values) <= _MOST_VALUES:
+        for index, item in enumerate(values):
+            yield from _values((*path, f"[{index}]"), named, item, beside)
+
+
+def _own_names(values: Any) -> tuple[str, ...]:
+    """Return the names of objects in a list that have each their own: "motor 1" of a DiagnosticStatus; else none."""
+    parts = [_fields(item) or {} for item in values] if isinstance(values, list) else []
+    for field in _NAMING:
+        found = tuple(str(part[field]) for part in parts if isinstance(part.get(field), str | int))
+        if len(found) == len(parts) and all(found):
+            return found
+    return ()
+
+
+def plain(values: Sequence[Any]) -> NDArray[Any]:
+    """Return a column (n,) of numbers, or else of texts."""
+    if isinstance(values, array):
+        return np.array(values)
+    return np.array(["" if one is None or one != one else str(one) for one in values])  # noqa: PLR0124 - NaN
