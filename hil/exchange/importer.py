@@ -299,7 +299,7 @@ def _timed(
 ) -> tuple[dict[str, Array], NDArray[np.int64], list[Diagnostic]]:
     """Return the channels and the numbers of their rows in the order of time, with diagnostics of what was mended.
 
-    unit: of the time, s. Raises WrongUse for times that are missing in many rows, or that go back.
+    unit: of the time, s. Raises WrongUse for times that are missing in many rows, or that go back again and again.
     """
     known, found = np.isfinite(channels["time"]), list[Diagnostic]()
     bad = np.flatnonzero(~known)
@@ -321,11 +321,13 @@ def _timed(
         found.append(
             _mended(f"rows are out of order, in {moved} places of {len(order)}; they are sorted by their times")
         )
-    clock.refuse_backwards(source, time[order], rows[known][order])
+    time, pieces = clock.continued(source, time[order], rows[known][order])
+    if pieces:
+        found.append(_mended(pieces))
     if not found:
         return dict(channels), rows, []
     sorted_channels = {name: values[known][order] for name, values in channels.items()}
-    return sorted_channels | {"time": time[order]}, rows[known][order], found
+    return sorted_channels | {"time": time}, rows[known][order], found
 
 
 def _mended(what: str) -> Diagnostic:

@@ -19,6 +19,8 @@ _NEAR = 20.0  # usual steps, within which a counter reaches its end and begins a
 _MOVED = 0.02  # share of the rows, by which one may be out of place
 _FEW = 64  # rows, by which one may always be
 _ALONE = 3  # rows at most that have a wrong stamp side by side
+_PIECE = 64  # rows at least, on average, before the stamps go back once more
+_PAUSE = 0.1  # of all rows: a longer gap than any that identification passes over
 _DENSE = 0.7  # of the usual step, below which two records overlap
 
 
@@ -80,24 +82,26 @@ def astray(time: Array) -> NDArray[np.bool_]:
     return wrong if run.max() <= _ALONE else np.zeros_like(wrong)
 
 
-def refuse_backwards(source: Path, time: Array, rows: Rows) -> None:
-    """Raise WrongUse if the stamps (n,), s, go back, with the likely cause. rows (n,): the numbers of the rows."""
-    back = np.flatnonzero(np.diff(time) < 0.0)
+def continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
+    """Return stamps (n,), s, that go on after a pause where they go back, and what was found there; "" for nothing.
+
+    rows (n,): the numbers of the rows. Raises WrongUse if they go back so often that they are no time.
+    """
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < 0.0)
     if not back.size:
-        return
+        return time, ""
     at = int(back[0])
-    step, span = float(time[at] - time[at + 1]), float(np.ptp(time[: at + 1]))
-    start = f"{source}, row {rows[at + 1]}: the time goes backwards by {step:.6g} s, "
-    times = f", and again in {back.size - 1} other rows" if back.size > 1 else ""
-    if back.size > 0.2 * len(time):
-        raise WrongUse(f"{start}as in {back.size} of {len(time)} rows: it is no time: name another column")
-    if float(time[at + 1] - time[0]) < 0.02 * span + 1e-9:
-        raise WrongUse(
-            f"{start}to where it began{times}: a further run begins there. Choose one with --where, or write each run "
-            "into a file of its own, and name them together: hil identify run1.h5 run2.h5"
-        )
-    raise WrongUse(
-        f"{start}{times.removeprefix(', ') or 'once'}: the clock was set, or a further run begins there, so that rows "
-        "before and after it give no Kc or Bc together. Choose one part with --where, or write each into a file of its "
-        "own, and name them together: hil identify part1.h5 part2.h5"
+    start = f"{source}, row {rows[at + 1]}: the time goes backwards by {-steps[at]:.6g} s"
+    if back.size * _PIECE > len(time):
+        raise WrongUse(f"{start}, as in {back.size} of {len(time)} rows: it is no time: name another column")
+    pause = _PAUSE * len(time) * float(np.median(steps[steps > 0.0]))
+    later = np.zeros(len(time))
+    later[back + 1] = pause - steps[back]
+    again = time[at + 1] - time[0] < 0.02 * np.ptp(time[: at + 1]) + 1e-9
+    cause = "to where it began: a further run begins there" if again else "because the clock was set"
+    return time + np.cumsum(later), (
+        f"the time goes back by {-steps[at]:.6g} s in row {rows[at + 1]}, {cause}"
+        f"{f', and again in {back.size - 1} other rows' if back.size > 1 else ''}. The rows from there on are read as "
+        f"after a pause of {pause:.3g} s; if they are of another joint or setting, choose one part with --where"
     )
