@@ -18,13 +18,10 @@ _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
 _MOST = (0.02, 0.98)  # quantiles of it then: an inertia's torque comes before the first count
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
-_BESIDE = 65  # readings around one, by which that distance is usual there
+_BESIDE = 65  # readings around one, by which that distance is usual there; a burst has fewer
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
 _CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
-_BURST = 64  # rows that a burst of wrong readings lasts at most
-_JUMP = 0.3  # of the largest step, from which a distance from the cubic is a jump: five readings a period have less
-_GOES_ON = 0.5  # of the angle's distance from the cubic, up to which the torque does not follow it
 _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
@@ -121,22 +118,23 @@ def bursts(angle: Array, torque: Array) -> NDArray[np.bool_]:
     wrong = np.zeros(len(angle), dtype=bool)
     angle = unwrapped(angle, torque)[0] if len(angle) else angle
     off, far = _far(angle)
-    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BURST) + 1) if part.size]
+    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BESIDE) + 1) if part.size]
     rows = [slice(int(part[0]) + 1, int(part[-1]) + 4) for part in groups]
     for part in rows:
         wrong[part] = True
     if wrong.all() or not rows:
         return np.zeros_like(wrong)
-    slope = np.cov(angle[~wrong], torque[~wrong])[0] @ [0, 1] / max(np.var(angle[~wrong]), 1e-300)
-    carried = np.convolve(torque - torque.mean(), _CUBIC, mode="valid") / slope if slope else np.full_like(off, np.inf)
+    spread, slope = np.cov(angle[~wrong], torque[~wrong])[0]
+    carried = np.convolve(torque - torque.mean(), _CUBIC, mode="valid") * (spread / slope if slope else np.inf)
     changes = np.concatenate([[0], np.flatnonzero(np.diff(angle)) + 1, [len(angle)]])  # a reading that is held joins
     for part in rows:
         near = slice(part.start - 1, part.stop - 3)
-        jumps = np.abs(off[near]).max() > _JUMP * np.abs(np.diff(angle[part.start - 1 : part.stop + 1])).max()
-        follows = np.linalg.norm(carried[near]) > _GOES_ON * np.linalg.norm(off[near])
+        # a motion that is read five times a period or more leaves its cubic by less than a third of its largest step
+        jumps = 3.0 * np.abs(off[near]).max() > np.abs(np.diff(angle[part.start - 1 : part.stop + 1])).max()
+        stays = 2.0 * np.linalg.norm(carried[near]) < np.linalg.norm(off[near])
         first = min(part.start, int(changes[np.searchsorted(changes, part.start + 1, "right") - 1]))
         last = max(part.stop, int(changes[np.searchsorted(changes, part.stop - 2, "right")]))
-        wrong[first:last] = jumps and not follows and last - first <= _BURST
+        wrong[first:last] = jumps and stays and last - first < _BESIDE
     return wrong if np.count_nonzero(wrong) <= _RARE * len(angle) else np.zeros_like(wrong)
 
 

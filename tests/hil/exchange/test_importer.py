@@ -409,7 +409,7 @@ def clock(ms: int) -> str:
             + "".join(LINES[:200])
             + "".join(f"{at / 100 + 0.5:.2f}{line[4:]}" for at, line in enumerate(LINES[200:])),
             0,
-            "goes back by 1.49 s in row 202, because the clock was set. The rows from there on are read as after a pause",
+            "goes back by 1.49 s in row 202, because the clock was set. The rows from there on are read as after",
         ),
         (
             HEAD + "".join(LINES[:200] + [f"{at / 100:.2f}{line[4:]}" for at, line in enumerate(LINES[200:])]),
