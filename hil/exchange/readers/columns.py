@@ -58,7 +58,7 @@ def from_values(named: Mapping[str, Sequence[Any]]) -> Columns:
     """Return columns of Python's values; dates and times, also as text in ISO 8601, in s."""
     found: dict[str, Callable[[], Any]] = {}
     for name, values in named.items():
-        first = next((one for one in values if isinstance(one, str | datetime | time)), None)
+        first = next((one for one in values if not isinstance(one, float)), None)
         if seconds(first) is not None:
             found[f"{name} [s]"] = partial(_stamps, values)
         else:
