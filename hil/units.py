@@ -134,7 +134,7 @@ _EXPRESSION = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")  # no numbers: "0.1 de
 _SPLIT_POWER = re.compile(r"\(([^()]*)\)\^(\([-+]?\d\))")  # the power of "kgm2" is that of its last part
 _SIGNS = str.maketrans(
     {"⁻": "-", "⁰": "0", "¹": "1", "²": "2", "³": "3", "\u2212": "-", "º": "°", "˚": "°", "·": "*", "⋅": "*", "•": "*"}
-    | {"\u2219": "*", "\u00d7": "*"}
+    | dict.fromkeys("\u2219\u00d7\u30fb\uff65", "*")
 )
 _TIMED = re.compile(r"\b\w?s\b")
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")

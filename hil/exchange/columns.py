@@ -128,7 +128,7 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
         raise WrongUse(f"{source} has {len(at)} columns named {name!r}: rename all but one")
     if at:
         return at[0]
-    inside = re.match(r"(.+?)\[\d+\]", name)
+    inside = re.match(r"(.+?)\[[:,\d]+\]", name)
     if inside and any(title.startswith(f"{inside[1]}.") for title in known):
         raise WrongUse(
             f"{source}: the values of {inside[1]!r} stand beside names, whose order changes from start to start, so "

@@ -13,6 +13,8 @@ from hil.recording.channels import CHANNELS
 
 _BRACKETS = re.compile(r"\[([^\[\]]*)\]|\{([^{}]*)\}|<([^<>]*)>|\(([^()]*(?:\([^()]*\))?)\)")
 _INDEX = re.compile(r"[\d:, ]+")  # of a column in a matrix, "q[:,2]" or "q(:,3)"
+_WIDE = str.maketrans("\uff08\uff09\uff3b\uff3d", "()[]")  # as wide as a Chinese character
+_PREFIXED = re.compile(r"(?:milli|micro|nano|centi|kilo|mega)[\s_-]*$", re.IGNORECASE)
 _SEPARATED = re.compile(r"(?P<stated>(?<!^)\s*/\s*|\s*[,;:]\s+|[\s_]+in[\s_]+)|(?P<joined>[\s_.:-]+)")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 _SHOWN = 40  # names in a message
@@ -42,7 +44,7 @@ def listed(titles: Sequence[str]) -> str:
 
 def names(title: str) -> list[str]:
     """Return the names by which a column can be found apart from its whole heading: the heading without the unit."""
-    ends = [name for name, *end in _at_the_end(title) if name and _dimensions(*end)]
+    ends = [name for name, *end in _at_the_end(title) if name and _dimensions(*end, name=name)]
     return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
 
@@ -54,9 +56,9 @@ def unit_of(title: str, dimension: str) -> str | None:
     units, or has in brackets a unit of another dimension.
     """
     bracketed = [unit for _, unit in _in_brackets(title)]
-    plain = _BRACKETS.sub("", title).strip()
+    plain = _BRACKETS.sub("", title.translate(_WIDE)).strip()
     stated = [unit for unit in bracketed if _is_of(dimension, unit)]
-    ends = next((by_dimension for _, *end in _at_the_end(plain) if (by_dimension := _dimensions(*end))), {})
+    ends = next((found for name, *end in _at_the_end(plain) if (found := _dimensions(*end, name=name))), {})
     for unit in () if stated else bracketed:
         others = [one for one in units.SI if _counts(one, unit, "_")]
         if others:
@@ -117,12 +119,16 @@ def _counts(dimension: str, text: str, mark: str) -> bool:
     return _is_of(dimension, text) and (mark == "in" or _is_usual(dimension, units.factor(dimension, text)))
 
 
-def _dimensions(text: str, mark: str) -> dict[str, str]:
-    """Return the end of a heading by each dimension that it is a unit of; the longest end decides."""
-    return {one: text for one in _DIMENSIONS if _counts(one, text, mark)}
+def _dimensions(text: str, mark: str, name: str) -> dict[str, str]:
+    """Return the end of a heading by each dimension that it is a unit of; the longest end decides.
+
+    name: what stands before it; after "milli" the end is a part of a unit.
+    """
+    return {} if _PREFIXED.search(name) else {one: text for one in _DIMENSIONS if _counts(one, text, mark)}
 
 
 def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
+    title = title.translate(_WIDE)
     for match in _BRACKETS.finditer(title):
         name = (title[: match.start()] + title[match.end() :]).strip()
         text = next(text for text in match.groups() if text is not None).strip()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import WrongUse
+from hil.exchange.nested import names_of
 from hil.exchange.readers.columns import Columns, of_matrix
 
 
@@ -32,8 +33,11 @@ def read(source: Path) -> Columns:
         for name, array in arrays.items()
         for field in array.dtype.names or [None]
     }
+    beside = names_of(part.tolist() for part in parts.values() if part.dtype.kind == "U" and part.ndim == 1)
     return {
-        column: partial(_column, part, index) for name, part in parts.items() for column, index in of_matrix(name, part)
+        column: partial(_column, part, index)
+        for name, part in parts.items()
+        for column, index in of_matrix(name, part, beside=beside)
     }
 
 

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice, product
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.exchange.nested import plain
+from hil.exchange.nested import Names, plain
 from hil.recording.interval import seconds
 
 Array = NDArray[np.float64]
@@ -35,11 +36,13 @@ def titled(name: str, metadata: Mapping[Any, Any] | None) -> str:
     return name
 
 
-def of_matrix(name: str, values: Any, *, matlab: bool = False) -> Iterator[tuple[str, tuple[int | slice, ...]]]:
+def of_matrix(
+    name: str, values: Any, *, matlab: bool = False, beside: Names = MappingProxyType({})
+) -> Iterator[tuple[str, tuple[int | slice, ...]]]:
     """Yield the name and the index of each column of an array: "q[:,2]", or in MATLAB's words "q(:,3)".
 
-    values: anything with a shape. The rows of the table are along the longest axis. A vector, also one that is stored
-    as a matrix with one column, has the name of the array alone.
+    values: anything with a shape. beside: names in the file, which give "q.finger". The rows of the table are along the
+    longest axis. A vector, also one that is stored as a matrix with one column, has the name of the array alone.
     """
     shape = values.shape
     if not all(shape):
@@ -50,6 +53,10 @@ def of_matrix(name: str, values: Any, *, matlab: bool = False) -> Iterator[tuple
     ]
     alone = math.prod(shape) == max(shape, default=1)
     for index in islice(product(*places), _MOST):
+        at = [(axis, place) for axis, place in enumerate(index) if not isinstance(place, slice)]
+        if len(at) == 1 and (names := beside.get(shape[at[0][0]])) and not alone:
+            yield f"{name}.{names[at[0][1]]}", index
+            continue
         words = [":" if isinstance(at, slice) else str(at + matlab) for at in index]
         yield name if alone else f"{name}({','.join(words)})" if matlab else f"{name}[{','.join(words)}]", index
 

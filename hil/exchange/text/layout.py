@@ -26,6 +26,7 @@ _DELIMITERS = (";", "\t", "|", ",", " ")
 _EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
 COMMENT = re.compile(r"^\s*(?:#+|%+|//+|!+)\s*")
 _SERIAL = re.compile(r"^(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> ")  # the stamp of Arduino's serial monitor
+_UNITS = re.compile(r"[\W_]*(?:\w_)?(?:units?|einheit(?:en)?|unités?|unidad(?:es)?)(?:_label)?\b *:?", re.IGNORECASE)
 _NO_UNIT = frozenset({"", "-", "--", "1", "n/a"})
 _OTHER_UNITS = frozenset("% counts count cnt ticks lsb raw bits N kN mN lbf kgf Pa kPa MPa GPa bar W J".split())  # noqa: SIM905
 _USUAL = 0.8  # share of the rows that have a number in a column
@@ -71,16 +72,17 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
         found = _without_rows(top, wanted)
         return found, chain(top[found.above :], lines)
     first, names, at = _headings(source, plain, (delimiter, fields, rows), wanted)
-    below = [line for line in plain[at + 1 : first] if line.strip()]
-    heads = [tuple(split_line(plain[at], delimiter)), *(tuple(split_line(line, delimiter)) for line in below)]
-    for cells in heads[1:]:
+    lines_of_units = [split_line(COMMENT.sub("", line), delimiter) for line in plain[at + 1 : first] if line.strip()]
+    lines_of_units += [_unlabelled(line, delimiter, len(names)) for line in plain[:first] if _UNITS.match(line)]
+    for cells in lines_of_units:
         names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
     row = split_line(plain[first], delimiter)
     if stamped:
         names, row, fields = ["received", *names], [top[first].partition(" -> ")[0], *row], fields + 1
     clocks = frozenset(place for place, cell in enumerate(row[: len(names)]) if clock(cell) is not None)
     names = [f"{name} [s]" if place in clocks else name for place, name in enumerate(names)]
-    found = Layout(names, delimiter, first, fields, clocks, frozenset(heads), stamped)
+    heads = frozenset(tuple(split_line(line, delimiter)) for line in plain[at:first] if line.strip())
+    found = Layout(names, delimiter, first, fields, clocks, heads, stamped)
     return found, chain(top[first:], lines)
 
 
@@ -216,6 +218,17 @@ def _units(cells: Sequence[str], columns: int) -> list[str]:
     is_line = bool(known) and len(cells) <= columns and max(2 * len(known), 2 * len(in_brackets)) >= len(stated)
     found = ["" if not is_line or cell.lower() in _NO_UNIT else cell for cell in plain[:columns]]
     return found + [""] * (columns - len(found))
+
+
+def _unlabelled(line: str, delimiter: str, columns: int) -> list[str]:
+    """Return the cells of a line whose first word says that they are units, "Units: s, N*m" or "Y_Unit_Label".
+
+    The label stands in the first cell, or in one more than there are columns.
+    """
+    cells = split_line(_UNITS.sub("", line, count=1).rstrip(), delimiter)
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells[1:] if len(cells) > columns else cells
 
 
 def _with_unit(name: str, unit: str) -> str:

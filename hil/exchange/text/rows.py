@@ -35,6 +35,7 @@ _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, n
 _LOST = 0.01  # share of the rows that may be damaged: more mean that the table is not understood
 _READING = re.compile(r"[-+.]?\d")  # the begin of a number, whole or not
 _SNIFFED = 1 << 12  # bytes that show the encoding
+_ENCODINGS = ("utf-8", "cp932", "gb18030", "cp949", "big5", "cp1251", "cp1250", "cp1253", "cp1254")
 _MOSTLY = 0.4  # share of every second byte that is 0 in UTF-16
 _CONTROL = 0.1  # share of control characters from which a file is no text
 _CONTROLS = bytes(set(range(32)) - set(b"\t\n\r\f\x1b"))
@@ -54,7 +55,7 @@ def titles(source: Path, wanted: Collection[str] = ()) -> list[str]:
     """Return the headings of the table, in order. wanted: names that the line of headings has. Raises WrongUse for a
     file that is no text.
     """
-    with _open(source) as file:
+    with _open(source, wanted) as file:
         return layout(source, iter(file), wanted)[0].names
 
 
@@ -75,7 +76,7 @@ def read(
     """
     kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
     behind = max((*wanted, *(at for at, _ in filters)), default=0)
-    with _open(source) as file:
+    with _open(source, asked) as file:
         form, rest = layout(source, iter(file), asked)
         cells = Cells(form.names, form.clocks, style)
         reader = form.reader(_without_nul(rest, form.above, damage))
@@ -211,9 +212,9 @@ class _File:
 
 
 @contextmanager
-def _open(source: Path) -> Iterator[_File]:
+def _open(source: Path, wanted: Collection[str]) -> Iterator[_File]:
     try:
-        with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source), "hil-windows", newline="") as text:
+        with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source, wanted), "hil-windows", newline="") as text:
             yield _File(text)
     except UnicodeDecodeError:
         raise WrongUse(f"{source} cannot be read as text: save the table as CSV in UTF-8") from None
@@ -234,9 +235,9 @@ def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
             yield raw
 
 
-def _encoding(source: Path) -> str:
-    """Return the encoding of a file: UTF-8 with or without a byte-order mark, or UTF-16, which spreadsheets call
-    Unicode text. Raises WrongUse for a file that is no text.
+def _encoding(source: Path, wanted: Collection[str]) -> str:
+    """Return the encoding of a file: UTF-8 with or without a byte-order mark, UTF-16, which spreadsheets call Unicode
+    text, or another in which the file has the names that are wanted. Raises WrongUse for a file that is no text.
     """
     start = b""
     with _bytes(source) as raw, suppress(EOFError):  # a packed file that is cut off has no beginning
@@ -248,4 +249,11 @@ def _encoding(source: Path) -> str:
             return name
     if len(start.translate(None, _CONTROLS)) < (1.0 - _CONTROL) * len(start.replace(b"\0", b"")):
         raise WrongUse(f"{source} is no text: save the table as CSV in UTF-8")
-    return "utf-8-sig"
+    names = [name for name in wanted if not name.isascii()]
+    return next((one for one in _ENCODINGS if names and _has(start, names, one)), "utf-8-sig")
+
+
+def _has(text: bytes, names: Sequence[str], encoding: str) -> bool:
+    with suppress(UnicodeEncodeError):
+        return all(name.encode(encoding) in text for name in names)
+    return False

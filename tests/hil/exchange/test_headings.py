@@ -19,6 +19,7 @@ from hil.exchange.headings import names, unit_of
         ("torque [mN m]", "torque", "torque", "mN m"),
         ("torque(N·m)", "torque", "torque", "N·m"),
         ("torque {mNm}", "torque", "torque", "mNm"),
+        ("torque\uff08N\u30fbm\uff09", "torque", "torque", "N\u30fbm"),
         ("torque_mNm", "torque", "torque", "mNm"),
         ("torque_mnm", "torque", "torque", "mnm"),
         ("torque.mNm", "torque", "torque", "mNm"),
@@ -143,5 +144,6 @@ def test_no_word_of_fifty_thousand_headings_is_a_unit() -> None:
 
 def test_a_word_that_a_unit_is_called_by_too_is_part_of_the_name() -> None:
     assert unit_of("joint rotation", "angle") is None
+    assert unit_of("torqueMilliNm", "torque") is None
     assert unit_of("knee rotation (rad)", "angle") == "rad"
     assert "joint" not in names("joint rotation")

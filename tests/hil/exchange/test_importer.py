@@ -348,12 +348,14 @@ ROWS = "0.5,10,0.1\n0.6,20,0.2\n0.7,30,0.3\n"
         "Settings;rate;1000\nWriter;2\n***end***\nt;tau;q\n\ns;mNm;rad\n".replace(";", ",") + ROWS,
         "Program\tx\nReader_Version\t2\n***End***\t\n\t\nt_s\ttau_mNm\tq_rad\tComment\n" + ROWS.replace(",", "\t"),
         "t[s] tau[mNm]  q[rad]\n" + ROWS.replace(",", "  "),
+        "Y_Unit_Label\ts\tmNm\trad\nX0\t0\t0\nt\ttau\tq\tComment\n" + ROWS.replace(",", "\t"),
+        "# Units: s, mNm, rad\nt,tau,q\n" + ROWS,
         "# t_s tau_mNm q_rad\n" + ROWS.replace(",", " ").replace("\n", " \n"),
         "t [s],tau [mNm],q [rad]\n" + ROWS.replace("\n", ",\n"),
         "t;tau_mNm;q_rad\n2024-05-01 23:59:59.9;10;0.1;\n2024-05-02T00:00:00;20;0.2;\n2024-05-02 00:00:00.1;30;0.3\n",
         "t,tau [mNm],q [rad]\n09:59:59.9,10,0.1\n10:00:00,20,0.2\n10:00:00.1,30,0.3\n",
     ],
-    ids=["comments", "settings", "LabVIEW", "spaces", "savetxt", "trailing", "dates", "times"],
+    ids=["comments", "settings", "LabVIEW", "spaces", "labelled", "units", "savetxt", "trailing", "dates", "times"],
 )  # fmt: skip
 def test_tables_as_loggers_write_them_read_the_same(tmp_path: Path, text: str) -> None:
     with imported(tmp_path, text, (), **UNITED) as recording:
@@ -503,6 +505,12 @@ def test_thousands_are_read_where_other_numbers_make_them_certain(
     rows = "".join(f"{at};{at};{cell};1\n" for at, cell in enumerate(cells))
     with imported(tmp_path, "TIME;POS;TAU;run\n" + rows) as recording:
         np.testing.assert_allclose(recording.channel("torque"), value)
+
+
+def test_headings_in_another_encoding_are_found_by_the_names_that_are_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_bytes("\u6642\u523b [s],\u89d2\u5ea6 [deg],TAU [N*m]\n0,1,2\n1,3,4\n".encode("cp932"))
+    columns = {"time": Column("\u6642\u523b"), "dtheta": Column("\u89d2\u5ea6"), "torque": Column("TAU")}
+    assert import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, []).units["dtheta"] == "deg"
 
 
 def test_the_text_of_windows_is_read(tmp_path: Path) -> None:

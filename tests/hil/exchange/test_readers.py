@@ -113,7 +113,7 @@ def named_parquet(path: Path) -> None:
 
 
 def numpys(path: Path) -> None:
-    np.savez(path, t=TIME, both=BOTH)
+    np.savez(path, t=TIME, both=BOTH, names=["finger", "thumb", "wrist"], q=np.column_stack([BOTH, TIME]))
 
 
 def json_document(path: Path) -> None:
@@ -132,7 +132,7 @@ WRITERS: Mapping[str, tuple[Callable[[Path], None], Mapping[str, Any]]] = {
     "a.h5": (hdf5, {"run/time": TIME, "run/both[:,1] [mN*m]": ANGLE, "table.v[:,1]": ANGLE, "packed": UNPACKED}),
     "a.parquet": (parquet, {"stamp [s]": STARTED + TIME, "tau [N*m]": TAU, "v[1]": ANGLE, "w.torque.z": TAU}),
     "a.tdms": (tdms, {"bench/time [s]": TIME, "bench/tau [N*m]": TAU, "late/time [s]": 1.0 + TIME}),
-    "a.npz": (numpys, {"t": TIME, "both[:,1]": ANGLE}),
+    "a.npz": (numpys, {"t": TIME, "both[:,1]": ANGLE, "q.thumb": ANGLE}),
     "a.npy": (lambda path: np.save(path, BOTH.T), {"data[1,:]": ANGLE}),
     "a.jsonl": (json_lines, {"at [s]": STARTED + TIME, "joint.tau": TAU, "joint.v[1]": ANGLE}),
     "a.json": (json_document, {"t": TIME, "log.v[1]": ANGLE}),
