@@ -15,6 +15,7 @@ from ga.model.coupling import parse
 from hil.api.arrays import recorded
 from hil.api.recordings import LoadedRecording
 from hil.api.results import AnyPath, ComparisonResult, IdentificationResult, NoResult
+from hil.api.wording import worded
 from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
 from hil.identification import user_model
@@ -30,6 +31,7 @@ Progress = Callable[[str, float], None]
 """A callback: it gets the name of the phase of the work and the completed fraction, 0 to 1."""
 
 
+@worded
 def identify(
     recordings: Recordings | None = None,
     model: str | Coupling | None = None,
@@ -83,6 +85,7 @@ def identify(
     return _result(task, identified(task, progress))
 
 
+@worded
 def identify_each(
     recordings: Recordings,
     model: str | Coupling | None = None,
@@ -154,6 +157,7 @@ def _no_result(task: Task, reason: Untrustworthy) -> NoResult:
     return NoResult(str(reason), [path_of(one) for one in task.recordings], name, task.search.preset, task.search.seed)
 
 
+@worded
 def compare(
     *recordings: Recordings,
     start: Any = None,

@@ -51,11 +51,11 @@ def _numbers(name: str, values: Any) -> NDArray[np.float64]:
             values = values.to(unit).magnitude
         except Exception as error:  # noqa: BLE001 - a unit of the caller's own registry
             raise WrongUse(f"{name} cannot be expressed in {unit}: {error}") from None
-    array = np.asarray(values)
+    array = np.ma.asarray(values)
     if array.ndim != 1:
         raise WrongUse(f"{name} has the shape {array.shape}: give one value a sample, an array of the shape (n,)")
     try:
-        return array.astype(np.float64)
+        return np.asarray(np.ma.filled(array.astype(np.float64), np.nan))
     except (TypeError, ValueError):
         raise WrongUse(f"{name} holds values that are no numbers: give an array of numbers, in {unit}") from None
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil import units
+from hil.api.wording import worded
 from hil.errors import Untrustworthy, WrongUse
 from hil.exchange.columns import Table, open_table
 from hil.exchange.headings import listed, unit_of
@@ -36,6 +37,9 @@ class HysteresisResult:
     measures: Measures
     paths: tuple[Path, ...]
 
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
     def __str__(self) -> str:
         return hysteresis_report.headline(self.measures)
 
@@ -47,11 +51,13 @@ class HysteresisResult:
         """Return a figure of the loops: torque over angle."""
         return drawn(hysteresis_report.chart(self.measures))
 
+    @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. command: printed in the report. Raises WrongUse."""
         return hysteresis_report.write_page(self.measures, self.paths, Path(path), command, force=force)
 
 
+@worded
 def hysteresis(
     runs: AnyPath | Sequence[AnyPath],
     *,

@@ -10,6 +10,7 @@ from typing import Any
 
 from drivers.servo import Quantity
 from hil.api.runs import DEFAULT_RATE, AnyStand, excitation, opened_stand, quantity_of
+from hil.api.wording import diagnostics_in_python, worded
 from hil.diagnostics import Diagnostic
 from hil.experiment_design import advice
 from hil.experiment_design.assessment import Assessment, Task, assess, check_limits, task_of
@@ -33,6 +34,9 @@ class DesignResult:
     stand: str
     general: tuple[Diagnostic, ...]
 
+    def __repr__(self) -> str:
+        return f"<{self}>"
+
     def __str__(self) -> str:
         return headline(self.judged)
 
@@ -50,13 +54,14 @@ class DesignResult:
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """All warnings: first the general warnings, then those about one excitation."""
         own = (warning for one in self.judged.values() for warning in advice.of_profile(self.task, one))
-        return (*self.general, *own)
+        return diagnostics_in_python((*self.general, *own))
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil design --json`."""
         return as_json(self.task, self.judged, list(self.general), self.stand)
 
 
+@worded
 def design(
     stand: AnyStand,
     profile: str = "chirp",

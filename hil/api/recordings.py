@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.api.wording import worded
 from hil.errors import WrongUse
 from hil.recording.channels import CHANNELS, units_of
 from hil.recording.interval import Part, named
@@ -29,7 +30,8 @@ class LoadedRecording:
     """A recording in memory. `len(recording)` is the number of samples, `recording["torque"]` is one channel, (n,) in
     SI.
 
-    channels, units, descriptions: by the channel names in `hil.recording.channels`; a missing reading is NaN. profile:
+    channels, units, descriptions: by the channel names in `hil.recording.channels`; a missing
+    reading is masked (and NaN below the mask), so that statistics leave it out. profile:
     the excitation. attributes: those of the file, such as created and stand_toml. events: of the run, in order. truth:
     the simulator's true parameters, SI; {} for a real stand. complete: whether the run ended as planned.
     window: the first and the last time, s, if only a part was loaded.
@@ -60,15 +62,20 @@ class LoadedRecording:
             f"<recording {named(self.path, self.window)}: {len(self)} samples, {self.profile.get('kind', 'unknown')}>"
         )
 
+    @property
+    def filled(self) -> dict[str, Array]:
+        """The channels as ordinary arrays, in which a missing reading is NaN."""
+        return {name: np.ma.filled(values, np.nan) for name, values in self.channels.items()}
+
     def to_pandas(self) -> Any:
         """Return a pandas.DataFrame with time, s, as index and one column for each channel; `attrs["units"]` has the
         units.
 
         Raises WrongUse if pandas is not installed.
         """
-        columns = {name: values for name, values in self.channels.items() if name != "time"}
+        columns = {name: values for name, values in self.filled.items() if name != "time"}
         pandas = _optional("pandas")
-        frame = pandas.DataFrame(columns, index=pandas.Index(self["time"], name="time"))
+        frame = pandas.DataFrame(columns, index=pandas.Index(self.filled["time"], name="time"))
         frame.attrs["units"] = dict(self.units)
         return frame
 
@@ -80,7 +87,7 @@ class LoadedRecording:
         """
         variables = {
             name: ("time", values, {"units": self.units[name], "long_name": self.descriptions[name]})
-            for name, values in self.channels.items()
+            for name, values in self.filled.items()
         }
         time = {"time": variables.pop("time")}
         attributes = {name: self.attributes[name] for name in ("uid", "created", "schema") if name in self.attributes}
@@ -90,9 +97,10 @@ class LoadedRecording:
         """Return a figure: command, torque and deflection over time, and torque over deflection."""
         from hil.report.pictures.recording import recording_figure
 
-        return recording_figure(self.channels, self.units)
+        return recording_figure(self.filled, self.units)
 
 
+@worded
 def load(path: str | os.PathLike[str], *, start: Any = None, end: Any = None) -> LoadedRecording:
     """Return a recording, or its rows from `start` to `end`, with all its channels in memory.
 
@@ -102,7 +110,7 @@ def load(path: str | os.PathLike[str], *, start: Any = None, end: Any = None) ->
     with Recording(Part(Path(path), start, end)) as recording:
         return LoadedRecording(
             path=recording.path,
-            channels=MappingProxyType({name: recording.channel(name) for name in CHANNELS}),
+            channels=MappingProxyType({name: np.ma.masked_invalid(recording.channel(name)) for name in CHANNELS}),
             units=MappingProxyType(units_of(recording.profile.get("mode", "torque"))),
             descriptions=MappingProxyType({name: channel.description for name, channel in CHANNELS.items()}),
             profile=MappingProxyType(recording.profile),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.api.wording import diagnostics_in_python, in_python, worded
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy
 from hil.identification.compare import Comparison, Repeated
@@ -67,7 +68,7 @@ class IdentificationResult:
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """The warnings and errors about the result, each with a remedy."""
-        return self.identification.diagnostics
+        return diagnostics_in_python(self.identification.diagnostics)
 
     @property
     def trustworthy(self) -> bool:
@@ -91,6 +92,14 @@ class IdentificationResult:
         return self.identification.dynamic_stiffness
 
     @property
+    def covariance(self) -> NDArray[np.float64]:
+        """The covariance (p, p) of the parameters, in the order of `parameters`, SI; Kc and Bc are the first two.
+
+        Its diagonal holds the squares of `stderr`. A parameter that is not known has infinite or NaN entries.
+        """
+        return self.identification.covariance
+
+    @property
     def predicted(self) -> NDArray[np.float64]:
         """The model's torque at the joint (n,), N m, for each row that was used."""
         return modelled(self.identification)
@@ -102,14 +111,15 @@ class IdentificationResult:
 
     def summary(self) -> str:
         """Return the answer, the table of the parameters, the warnings and the quality of the fit as text."""
-        lines = identification_report.identification_lines(self.identification)
-        return "\n".join([str(self), *table_lines(self._rows()), *(f"{one}" for one in self.diagnostics), *lines])
+        said = (f"{one.severity} [{one.code}]: {one.message}" for one in self.diagnostics)
+        lines = map(in_python, identification_report.identification_lines(self.identification))
+        return "\n".join([str(self), *table_lines(self._rows()), *said, *lines])
 
     def _repr_html_(self) -> str:
         """Return the answer and the table of the parameters for a notebook."""
         rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
         table = "".join(f"<tr>{row}</tr>" for row in rows)
-        said = "".join(f"<p>{escape(str(one))}</p>" for one in self.diagnostics)
+        said = "".join(f"<p>{escape(f'{one.severity}: {one.message}')}</p>" for one in self.diagnostics)
         return f"<p><b>{escape(str(self))}</b></p><table>{table}</table>{said}"
 
     def _rows(self) -> list[list[str]]:
@@ -125,6 +135,7 @@ class IdentificationResult:
         """
         return result.figure(self.identification)
 
+    @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. Raises WrongUse.
 
@@ -132,6 +143,7 @@ class IdentificationResult:
         """
         return identification_page.write_page(self.identification, Path(path), command, force=force)
 
+    @worded
     def save_plots(self, folder: AnyPath, *, force: bool = False) -> list[Path]:
         """Write every picture of the report as a PNG into a folder, and return their paths. Raises WrongUse."""
         return files.write_pictures(result.pictures(self.identification), Path(folder), force=force)
@@ -148,6 +160,7 @@ class NoResult(Untrustworthy):
         """Return the JSON object of `hil identify --json` for a failure: every value is null."""
         return identification_json.unusable_json(self.recordings, self.model, self.preset, self.seed, str(self))
 
+    @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write an HTML report that says why there is no result, and return its path. Raises WrongUse.
 
@@ -170,13 +183,16 @@ class ComparisonResult:
     def __getitem__(self, name: str) -> Repeated:
         return next(parameter for parameter in self.comparison.parameters if parameter.name == name)
 
+    def __repr__(self) -> str:
+        return f"<comparison of {len(self.comparison.recordings)} recordings, {self.comparison.model}: {self}>"
+
     def __str__(self) -> str:
         return "\n".join(parameter.verdict for parameter in self.comparison.parameters)
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """The warnings and errors about the comparison, each with a remedy."""
-        return self.comparison.diagnostics
+        return diagnostics_in_python(self.comparison.diagnostics)
 
     @property
     def trustworthy(self) -> bool:
@@ -193,6 +209,7 @@ class ComparisonResult:
         """
         return canvas.drawn(comparison_report.chart(self.comparison))
 
+    @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. Raises WrongUse.
 

@@ -16,6 +16,7 @@ from drivers.servo import DriverError, LinkLost, Quantity
 from hil.acquisition import run as acquisition
 from hil.acquisition.excitation import Profile, make
 from hil.acquisition.phases import Outcome
+from hil.api.wording import diagnostics_in_python, worded
 from hil.diagnostics import Diagnostic, driven_by_position, lateness
 from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.handle import available
@@ -88,6 +89,7 @@ class Run:
         }
 
 
+@worded
 def record(
     stand: AnyStand,
     profile: str = "chirp",
@@ -163,7 +165,8 @@ def _reported(
     """Call `ended` with the run, then return the run. Raises the fault that ended the run."""
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
     late = lateness(outcome.late, outcome.samples)
-    run = Run(path, outcome, (*foreseen, *moved, *late), _stored_lateness(path, outcome.samples))
+    said = diagnostics_in_python((*foreseen, *moved, *late))
+    run = Run(path, outcome, said, _stored_lateness(path, outcome.samples))
     try:
         if ended is not None:
             ended(run)
@@ -193,6 +196,7 @@ def _plan(stand: Stand, path: Path) -> FaultPlan:
     return load_plan(path)
 
 
+@worded
 def simulate(
     output: str | os.PathLike[str] | None = None,
     profile: str = "chirp",

@@ -16,6 +16,7 @@ from typing import Annotated, Any, NoReturn, cast
 import typer
 
 from hil.acquisition.interrupt import StopRequest
+from hil.api.wording import on_the_command_line
 from hil.cli.calibrate import calibrate
 from hil.cli.demo import demo
 from hil.cli.design import design
@@ -137,7 +138,8 @@ def run(words: list[str]) -> int:
     be_quiet("--quiet" in words)
     try:
         parsed = [word for word in words if word not in {"--debug", "--quiet"}]
-        answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
+        with on_the_command_line():
+            answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
     except _UsageError as error:
         say(_usage(error))
         return WRONG_USE

@@ -75,7 +75,7 @@ def view(
     place = rerun.WINDOW if output is None else str(output)
     loaded = load(recording)
     rerun.check(place, force=force)
-    rerun.show(loaded.channels, place)
+    rerun.show(loaded.filled, place)
     out(f"{recording}: shown in {'a window of Rerun' if output is None else output}")
 
 

@@ -244,6 +244,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 else None,
                 depends_on=(span[2] or None) if span and parameter.name == "Kc" else None,
                 positive=parameter.positive,
+                correlation=dict(zip(evidence.names, evidence.errors.correlation[at].tolist(), strict=True)),
             )
         )
     return tuple(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -56,21 +56,23 @@ class Estimate:
     was computed exactly and not searched. components: variance within and between pooled recordings, None for a single
     recording and if fewer than two recordings identify the parameter. depends_on: the quantity that the parameter
     changes with, such as "amplitude", if it has no single value: `ci95` then spans its values, and `value` is the
-    middle. positive: whether the parameter cannot be negative for physical reasons.
+    middle. positive: whether the parameter cannot be negative for physical reasons. correlation: of its sampling
+    error with those of all parameters, by name.
     """
 
     name: str
     unit: str
     value: float
     ci95: tuple[float, float]
-    optimiser: Repeatability
+    optimiser: Repeatability = field(repr=False)
     identifiable: bool
     at_bound: str | None
-    bounds: tuple[float, float]
-    components: VarianceComponents | None = None
-    conditional: Conditional | None = None
+    bounds: tuple[float, float] = field(repr=False)
+    components: VarianceComponents | None = field(default=None, repr=False)
+    conditional: Conditional | None = field(default=None, repr=False)
     depends_on: str | None = None
     positive: bool = False
+    correlation: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
     def half_width(self) -> float:
@@ -178,6 +180,24 @@ class Identification:
 
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Return the covariance (p, p) of the parameters in their order, SI. A variance is the square of `stderr`.
+
+        The error of the torque's scale is common to all parameters that are torques. What else is in a standard error
+        correlates as the sampling errors of the selected model do. Infinite or NaN for a parameter that is not known.
+        """
+        errors = np.array([one.stderr for one in self.estimates])
+        parameters = (*self.model.linear, *self.model.nonlinear)
+        values = [one.value if known.scales else 0.0 for one, known in zip(self.estimates, parameters, strict=True)]
+        common = self.torque_uncertainty * np.array(values)
+        rest = np.sqrt(np.maximum(errors**2 - common**2, 0.0))
+        names = [one.name for one in self.estimates]
+        alike = np.array([[one.correlation.get(name, np.nan) for name in names] for one in self.estimates])
+        found = alike * np.outer(rest, rest) + np.outer(common, common)
+        np.fill_diagonal(found, errors**2)
+        return np.asarray(found)
 
     def doubts(self, name: str) -> list[str]:
         """Return the codes of the errors that concern the parameter, or all parameters; empty if the parameter may be

@@ -11,7 +11,7 @@ This is the error due to the data for a given model. It does not include effects
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,13 @@ class ConfidenceIntervals:
     """The confidence intervals of all parameters.
 
     half_width (p,): half of each parameter's 95 % interval, SI. inflation (p,): the variance inflation: how many times
-    larger the parameter's variance is than if its column were orthogonal to all others.
+    larger the parameter's variance is than if its column were orthogonal to all others. correlation (p, p): of the
+    sampling errors, NaN for a parameter that cannot be distinguished from others.
     """
 
     half_width: Array
     inflation: Array
+    correlation: Array
 
     def with_scale_uncertainty(self, uncertainty: Array, values: Array) -> ConfidenceIntervals:
         """Return the intervals widened by the uncertainty of a scale, which more samples do not reduce.
@@ -44,7 +46,7 @@ class ConfidenceIntervals:
         uncertainty: relative standard uncertainty of the quantity, such as the torque, that the parameters (p,) are
         proportional to. values (p,): the parameters.
         """
-        return ConfidenceIntervals(np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)), self.inflation)
+        return replace(self, half_width=np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)))
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
         """Return the intervals with the sampling half widths replaced by those of averages over models.
@@ -54,9 +56,7 @@ class ConfidenceIntervals:
         known = np.isfinite(sampling)
         squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
         other = np.sqrt(np.maximum(squares, 0.0))
-        return ConfidenceIntervals(
-            np.where(chosen == sampling, self.half_width, np.hypot(chosen, other)), self.inflation
-        )
+        return replace(self, half_width=np.where(chosen == sampling, self.half_width, np.hypot(chosen, other)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +82,9 @@ def confidence_intervals(blocks: Blocks, genes: Array) -> ConfidenceIntervals:
     """
     found = covariance(blocks, genes)
     variance = np.diag(found.matrix)  # negative by rounding: nearly dependent columns
-    half = found.quantile * np.sqrt(np.where(found.distinct & (variance >= 0.0), variance, np.inf))
-    return ConfidenceIntervals(half, found.inflation)
+    error = np.sqrt(np.where(found.distinct & (variance >= 0.0), variance, np.inf))
+    known = np.where((error > 0.0) & (error < np.inf), error, np.nan)
+    return ConfidenceIntervals(found.quantile * error, found.inflation, found.matrix / np.outer(known, known))
 
 
 def covariance(blocks: Blocks, genes: Array) -> Covariance:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def pooled_intervals(
         values = tuple(float(one[at]) if at < len(half) and 0.0 < half[at] < np.inf else np.nan for one, half in fitted)
         components.append(VarianceComponents(pooled.within, pooled.between, values, pooled.p_alike))
         widened[at] = max(widened[at], 0.5 * (pooled.ci95[1] - pooled.ci95[0]))
-    return ConfidenceIntervals(widened, intervals.inflation), tuple(components)
+    return replace(intervals, half_width=widened), tuple(components)
 
 
 def disagreement(

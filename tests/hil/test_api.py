@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ import pytest
 
 import hil as api
 from hil.acquisition.limits import LimitReached
+from hil.api.wording import in_python, on_the_command_line
+from hil.diagnostics import Diagnostic
 from hil.recording.reader import Recording
 
 from .conftest import Hil, Maker
@@ -84,8 +87,68 @@ def test_the_command_has_the_unit_of_its_mode(tmp_path: Path) -> None:
     for mode, unit in (("torque", "N*m"), ("position", "rad")):
         run = api.simulate(tmp_path / f"{mode}.h5", mode=mode, duration=1.0, fade=0.2)
         assert run.load().units["command"] == unit
-    with pytest.raises(api.WrongUse, match="--mode 'speed': it is torque or position"):
+    with pytest.raises(api.WrongUse, match=r"^mode='speed': it is torque or position"):
         api.simulate(tmp_path / "c.h5", mode="speed")
+
+
+def test_statistics_of_a_recording_leave_lost_rows_out(make_recording: Maker) -> None:
+    path = make_recording(noise=2e-4, samples=600, change=lambda channels: channels["torque"].__setitem__(7, math.nan))
+    loaded = api.load(path)
+    known = np.delete(np.asarray(loaded["torque"]), 7)
+    assert float(loaded["torque"].std()) == pytest.approx(float(known.std()))
+    assert math.isnan(loaded.filled["torque"][7])
+    torque = np.ma.masked_greater(loaded["torque"], 0.003)  # the arrays of a user have their own masks
+    arrays: dict[str, Any] = {"time": loaded["time"], "dtheta": loaded["dtheta"]}
+    found = api.identify(model="linear", trials=1, torque=torque, **arrays)
+    same = api.identify(model="linear", trials=1, torque=torque.filled(np.nan), **arrays)
+    assert (found["Kc"].value, found.identification.samples) == (same["Kc"].value, same.identification.samples)
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [
+        ("unknown --preset 'x'", "unknown preset='x'"),
+        ("try --model linear+skew.", 'try model="linear+skew".'),
+        ("name a --model without skew", "name a model= without skew"),
+        ("write --bounds Kc=0.01:5: or", 'write bounds={"Kc": (0.01, 5)}: or'),
+        ("(--mode torque --profile chirp)", '(mode="torque", profile="chirp")'),
+        ("between --from and --to, --band 0.1:15", "between start= and end=, band=(0.1, 15)"),
+        ("hil record --no-guardian goes without it", "hil.record(..., guardian=False) goes without it"),
+        ("`hil record --force` replaces it", "`hil.record(..., force=True)` replaces it"),
+        ("run hil doctor --move, or hil identify a.h5 --model auto", None),
+        ("import the table with --torque-scale -1", None),
+    ],
+)
+def test_a_remedy_names_the_arguments_of_python_and_on_the_command_line_its_options(
+    message: str, said: str | None
+) -> None:
+    assert in_python(message) == (said or message)
+    with on_the_command_line():
+        assert in_python(message) == message
+
+
+def test_errors_and_warnings_of_functions_name_no_option(make_recording: Maker) -> None:
+    path = make_recording(noise=2e-4, samples=600)
+    for wrong in (
+        lambda: api.identify(path, "nope"),
+        lambda: api.identify(path, preset="nope"),
+        lambda: api.identify(path, "linear", bounds={"Kd": (0.0, 1.0)}),
+        lambda: api.compare(path),
+        lambda: api.design("sim", model="nope"),
+        lambda: api.simulate(path),
+        lambda: api.simulate(rate=-1.0),
+        lambda: api.identify(path, "linear", trials=1).report(path, force=False),
+        lambda: api.hysteresis(path, torque="nope"),
+    ):
+        with pytest.raises((api.WrongUse, api.Untrustworthy)) as caught:
+            wrong()
+        assert "--" not in str(caught.value)
+    found = api.identify(path, "linear", trials=1)
+    doubt = Diagnostic("misfit", "leave a term out of --model", is_error=True)
+    found = api.IdentificationResult(replace(found.identification, diagnostics=(doubt,)))
+    assert found.diagnostics[0].message == "leave a term out of model="
+    assert "error [misfit]: leave a term out of model=" in found.summary()
+    assert "--" not in found.summary()
 
 
 @pytest.mark.study
@@ -135,6 +198,9 @@ def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Mak
     assert len(found.residuals) == len(found.predicted) <= 600
     assert float(np.mean(np.abs(found.residuals))) == pytest.approx(found.identification.optimum, rel=2e-3)
     assert found["Kc"].stderr == pytest.approx(found["Kc"].half_width / 1.96)
+    errors = np.sqrt(np.diag(found.covariance))
+    assert errors == pytest.approx([one.stderr for one in found.parameters.values()])
+    assert abs(found.covariance[0, 1]) < errors[0] * errors[1]
     assert f"{found}" in found.summary()
     assert "<td>Kc</td>" in found._repr_html_()
 
@@ -231,6 +297,7 @@ def test_a_comparison_is_the_command_lines(hil: Hil, make_recording: Maker) -> N
         json.loads(json.dumps(result.as_json()))
         == hil("compare", *paths, "--model", "linear", "--trials", 1, "--json").json
     )
+    assert len(repr(result)) < 600
     assert str(result).splitlines() == [result["Kc"].verdict, result["Bc"].verdict]
     assert result.plot().axes
 
@@ -241,6 +308,7 @@ def test_a_design_is_the_command_lines(hil: Hil) -> None:
     assert result.as_json() == hil("design", *words, "--json").json
     assert hil("design", *words).out.splitlines()[0] == str(result)
     assert result.best.relative <= result.given.relative
+    assert len(repr(result)) < 300
 
 
 def test_an_unusable_recording_raises_with_the_json_of_the_command_line(hil: Hil, make_recording: Maker) -> None:

@@ -1,0 +1,135 @@
+"""Messages of hil in the words of Python: the option `--model linear` of a command is the argument model="linear" here.
+
+A remedy is written once, with the options of the command line. In Python the same remedy is read as the options that it
+names, and each option that a function of `import hil` has as an argument is written as that argument.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
+from functools import cache, wraps
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from hil.diagnostics import Diagnostic
+
+_ON_THE_COMMAND_LINE = ContextVar("on_the_command_line", default=False)
+_OTHER_NAMES = {"from": "start", "to": "end"}
+_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+@contextmanager
+def on_the_command_line() -> Iterator[None]:
+    """Leave messages as they are inside the block, because a command prints them."""
+    token = _ON_THE_COMMAND_LINE.set(True)
+    try:
+        yield
+    finally:
+        _ON_THE_COMMAND_LINE.reset(token)
+
+
+def worded(function: _Function) -> _Function:
+    """Return the function with the messages of the errors that it raises in the words of Python."""
+
+    @wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        try:
+            return function(*arguments, **named)
+        except Exception as error:
+            if len(error.args) == 1 and isinstance(error.args[0], str):
+                error.args = (in_python(error.args[0], inspect.signature(function).parameters),)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+def diagnostics_in_python(found: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:
+    """Return diagnostics with their messages in the words of Python."""
+    return tuple(replace(one, message=in_python(one.message)) for one in found)
+
+
+def in_python(message: str, own: Mapping[str, inspect.Parameter] = MappingProxyType({})) -> str:
+    """Return a message with the options that it names as arguments; unchanged on the command line.
+
+    own: parameters of the function that was called, beside those of the functions that record and identify. An option
+    that is no argument, and a command with other words than such options, are left as they are.
+    """
+    if "--" not in message or _ON_THE_COMMAND_LINE.get():
+        return message
+    known = _arguments() | {name: one.default for name, one in own.items()}
+    option, commands = _grammar()
+
+    def written(found: re.Match[str]) -> str:
+        if found["command"] is None:
+            given = [_argument(one, known) for one in option.finditer(found["alone"])]
+            return found[0] if None in given else ", ".join(map(str, given))
+        given = [_argument(one, known) for one in option.finditer(found["options"])]
+        as_call = not found["words"] and None not in given and found["command"] in ("identify", "compare", "record")
+        return f"hil.{found['command']}(..., {', '.join(map(str, given))})" if as_call else found[0]
+
+    return commands.sub(written, message)
+
+
+def _argument(found: re.Match[str], known: Mapping[str, Any]) -> str | None:
+    """Return an option, and its value if the message states one, as an argument; None if it is none of `known`."""
+    option, value = found[1], found[2]
+    name = option.replace("-", "_")
+    name = _OTHER_NAMES.get(name, name)
+    if name.startswith("no_") and known.get(name[3:]) is True:
+        return f"{name[3:]}=False"
+    if name not in known:
+        return None
+    return f"{name}=True" if known[name] is False else f"{name}={_value(value or '')}"
+
+
+def _value(text: str) -> str:
+    """Return the value of an option as Python writes it: a number, a pair of numbers, a dictionary or a text."""
+    if not text or text.startswith("'") or re.fullmatch(_NUMBER, text):
+        return text
+    name, equals, span = text.rpartition("=")
+    if ":" in span and ".py:" not in span:
+        pair = f"({', '.join(span.split(':'))})"
+        return f'{{"{name}": {pair}}}' if equals else pair
+    return f'"{text}"'
+
+
+@cache
+def _grammar() -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """Return the patterns of an option with its value, and of options alone or in a command of hil.
+
+    A value is a number, a range, a quoted text, a file or a name that an option takes; another word is of the sentence.
+    """
+    from drivers.servo import Quantity
+    from ga.evolution.evolution import PRESETS
+    from ga.model.terms import TERMS
+    from hil.acquisition.excitation import EXCITATIONS
+
+    names = "|".join(sorted({"auto", *TERMS, *PRESETS, *EXCITATIONS, *Quantity}, key=len, reverse=True))
+    values = (
+        r"'[^']*'",
+        rf"\w+={_NUMBER}:{_NUMBER}",
+        rf"{_NUMBER}(?::{_NUMBER})?(?![\w.]*\w)",
+        r"[\w/]+\.(?:py:\w+|toml|csv|h5)",
+        r"[A-Z]{3,}",
+        rf"(?:{names})(?:\+(?:{names}))*(?!\w)",
+    )
+    option = rf"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])(?: ({'|'.join(values)}))?"
+    plain = option.replace("([a-z][a-z-]*[a-z])", "[a-z][a-z-]*[a-z]").replace("(?: (", "(?: (?:")
+    alone = rf"(?P<alone>{plain}(?: {plain})*)"
+    command = rf"\bhil (?P<command>[a-z]+)(?P<words>(?: [^\s,;:`()-][^\s,;:`()]*)*)(?P<options>(?: {plain})+)"
+    return re.compile(option), re.compile(f"{command}|{alone}")
+
+
+@cache
+def _arguments() -> dict[str, Any]:
+    """Return the arguments of the functions that record and identify, each with its default value."""
+    from hil import compare, design, identify, record
+
+    functions = (identify, compare, design, record)
+    return {one.name: one.default for each in functions for one in inspect.signature(each).parameters.values()}
