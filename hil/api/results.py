@@ -21,6 +21,7 @@ from hil.identification.result import Estimate, Identification
 from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
 from hil.report import identification_json, identification_page
+from hil.report.controller import PHASE_MARGIN, Controller, controller
 from hil.report.html_page import table_lines, table_rows
 from hil.report.pictures import canvas, files, result
 from hil.report.pictures.traces import modelled
@@ -98,6 +99,13 @@ class IdentificationResult:
         Its diagonal holds the squares of `stderr`. A parameter that is not known has infinite or NaN entries.
         """
         return self.identification.covariance
+
+    def controller(self, phase_margin: float = PHASE_MARGIN) -> Controller | None:
+        """Return corner frequency, resonance and stiffest position loop with their intervals (docs/controller.md).
+
+        phase_margin: of that loop, rad. None if Kc or Bc may not be trusted. Raises WrongUse.
+        """
+        return controller(self.identification, phase_margin)
 
     @property
     def predicted(self) -> NDArray[np.float64]:

@@ -33,7 +33,11 @@ if TYPE_CHECKING:
     from hil.identification.result import Identification
 
 Verbose = Annotated[
-    bool, typer.Option("--verbose", help="Also show every parameter, model selection, repeatability and K'(f), B'(f).")
+    bool,
+    typer.Option(
+        "--verbose",
+        help="Also show every parameter, numbers for a controller, model selection, repeatability, K'(f), B'(f).",
+    ),
 ]
 
 
@@ -187,6 +191,7 @@ def _show_answer(found: Identification) -> None:
 def _show_work(found: Identification, *, verbose: bool) -> None:
     """Print how the result was obtained: three lines, or with `verbose` tables and more lines."""
     from hil.report import identification as report
+    from hil.report.controller import controller_line, controller_table
 
     if not verbose:
         for line in report.summary_lines(found):
@@ -195,6 +200,9 @@ def _show_work(found: Identification, *, verbose: bool) -> None:
     out_table(report.estimates_table(found))
     if found.steps:
         out_table(report.model_selection_table(found))
+    if table := controller_table(found, milli=report.milli(found)):
+        out_table(table)
+    detail(controller_line(found))
     out_table(report.repeatability_table(found))
     _show_dynamic_stiffness(found)
     for line in report.identification_lines(found):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ class Coupling:
     m (0 if the model has none). All values are at the joint.
 
     model: the identified terms, joined with +. parameters: value and unit of every parameter, SI. source: the
-    recordings.
+    recordings. controller: the numbers for a controller, SI, by name: value, 95 % interval (None: it was
+    given) and unit.
     """
 
     stiffness: float
@@ -36,6 +37,7 @@ class Coupling:
     model: str
     parameters: Mapping[str, tuple[float, str]]
     source: tuple[str, ...]
+    controller: Mapping[str, tuple[float, tuple[float, float] | None, str]] = field(default_factory=dict)
 
     def left_out(self) -> list[Diagnostic]:
         """Return the warning about terms that a simulator's joint does not support: all except stiffness, damping and
@@ -90,7 +92,15 @@ def _of_json(table: Mapping[str, Any], name: str) -> Coupling:
     friction = float(found["Fc"]["value"]) if "Fc" in found else 0.0
     values = {key: (float(one["value"]), str(one["unit"])) for key, one in found.items() if one["value"] is not None}
     kc, bc = _with_interval(found["Kc"]), _with_interval(found["Bc"])
-    return Coupling(*kc, *bc, friction, str(table["model"]), values, tuple(str(one) for one in table["recordings"]))
+    numbers = {
+        name: (*_with_interval(one), str(one["unit"]))
+        if "ci95" in one
+        else (float(one["value"]), None, str(one["unit"]))
+        for name, one in (table.get("controller") or {}).items()
+        if isinstance(one, dict)  # else a sentence
+    }
+    source = tuple(str(one) for one in table["recordings"])
+    return Coupling(*kc, *bc, friction, str(table["model"]), values, source, numbers)
 
 
 def _with_interval(parameter: Mapping[str, Any]) -> tuple[float, tuple[float, float]]:

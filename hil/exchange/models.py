@@ -95,7 +95,7 @@ def sdf(coupling: Coupling) -> str:
 
 
 def c_header(coupling: Coupling) -> str:
-    """Return a C header with one macro for each parameter, SI."""
+    """Return a C header with one macro for each parameter and each number for a controller, SI."""
     lines = [
         "#ifndef HIL_COUPLING_H",
         "#define HIL_COUPLING_H",
@@ -105,8 +105,16 @@ def c_header(coupling: Coupling) -> str:
     ]
     for name, (value, unit) in coupling.parameters.items():
         comment = "" if unit == NO_UNIT else f" /* {_safe(unit)} */"
-        lines.append(f"#define HIL_{re.sub(r'[^A-Za-z0-9]', '_', name).upper()} {_number(value)}{comment}")
+        lines.append(f"#define HIL_{_macro(name)} {_number(value)}{comment}")
+    for name, (value, interval, unit) in coupling.controller.items():
+        ends = [f"95 % interval {interval[0]:.6g} to {interval[1]:.6g}"] if interval else []
+        comment = ", ".join([*([] if unit == NO_UNIT else [_safe(unit)]), *ends])
+        lines.append(f"#define HIL_{_macro(name)} {_number(value)} /* {comment} */")
     return "\n".join([*lines, "", "#endif", ""])
+
+
+def _macro(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]", "_", name).upper()
 
 
 def as_json(coupling: Coupling) -> str:
@@ -118,6 +126,10 @@ def as_json(coupling: Coupling) -> str:
         "friction": {"value": coupling.friction, "unit": "N*m"},
         "model": coupling.model,
         "parameters": {name: {"value": value, "unit": unit} for name, (value, unit) in coupling.parameters.items()},
+        "controller": {
+            name: {"value": value, "unit": unit} | ({"ci95": list(interval)} if interval else {})
+            for name, (value, interval, unit) in coupling.controller.items()
+        },
         "recordings": list(coupling.source),
     }
     return json.dumps(table, indent=2, allow_nan=False) + "\n"

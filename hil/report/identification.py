@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hil.recording.interval import named
-from hil.report.deflection import deflection_lines
-from hil.report.formatting import people_unit, plain_table, rounded, rounded_in_thousands
+from hil.report.formatting import engineering, people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_table
 from hil.uncertainty.criteria import COUPLING
 from hil.units import with_unit
@@ -18,7 +17,9 @@ from hil.units import with_unit
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.identification.result import Estimate, Identification
+    from hil.identification.result import Deflection, Estimate, Identification
+
+_METHODS = {"instruments": "the command as an instrument", "simulation": "a simulation of the noise"}
 
 
 def milli(found: Identification) -> bool:
@@ -228,3 +229,16 @@ def _fixture_lines(found: Identification) -> list[str]:
         for factor, unit in [people_unit(estimate.unit, milli=milli(found))]
     ]
     return [f"the fixture, {' and '.join(values)}, is removed from Kc and Bc ({found.fixture.recording})"]
+
+
+def deflection_lines(one: Deflection | None) -> list[str]:
+    """Return a line about the noise of the deflection and its correction; an empty list if the noise has no effect."""
+    if one is None:
+        return []
+    passed = "" if one.low_pass is None else f", before a low-pass of {one.low_pass:.3g} Hz"
+    noise = f"the deflection has noise of {engineering(one.noise, 'rad', 2)}{passed}"
+    if one.method == "none":
+        left = ", ".join(f"{name} {100.0 * size:+.1g} %" for name, size in one.predicted.items())
+        return [f"{noise}; the rest does not matter ({left})"]
+    before = ", ".join(f"{name} {100.0 * size:+.2g} %" for name, size in one.before.items() if math.isfinite(size))
+    return [f"{noise}; Kc and Bc are corrected with {_METHODS[one.method]} (before: {before})"]

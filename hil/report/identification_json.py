@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.report.deflection import deflection_json
+from hil.report.controller import controller_json
 from hil.report.formatting import diagnostics_json, json_number
 from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
 
 if TYPE_CHECKING:
-    from hil.identification.result import Estimate, Fixture, Identification
+    from hil.identification.result import Deflection, Estimate, Fixture, Identification
     from hil.identification.selection.stepwise import Step
 
 SCHEMA = "hil-identification/2"
@@ -51,6 +51,20 @@ def as_json(found: Identification) -> dict[str, Any]:
         "dynamic_stiffness": dynamic_stiffness_json(found.dynamic_stiffness),
         "deflection": None if found.deflection is None else deflection_json(found.deflection),
         "fixture": None if found.fixture is None else _fixture(found.fixture),
+        "controller": controller_json(found),
+    }
+
+
+def deflection_json(deflection: Deflection) -> dict[str, Any]:
+    """Return the entry "deflection" of the JSON object of `hil identify --json`."""
+    return {
+        "noise": deflection.noise,
+        "counts": json_number(deflection.counts),
+        "low_pass": deflection.low_pass,
+        "method": deflection.method,
+        "instrument_strength": deflection.strength,
+        "before": {name: json_number(one) for name, one in deflection.before.items()},
+        "predicted": {name: json_number(one) for name, one in deflection.predicted.items()},
     }
 
 

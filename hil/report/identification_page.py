@@ -12,12 +12,14 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import units_of
 from hil.recording.interval import named
 from hil.recording.reader import Recording
+from hil.report.controller import controller_line, controller_rows
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
     bands_table,
     estimates_table,
     headline,
     identification_lines,
+    milli,
     model_selection_table,
     repeatability_table,
     verdicts,
@@ -57,6 +59,10 @@ def _sections(found: Identification) -> list[Section]:
     sections = [
         Section("Numbers, with 95 % intervals", table_rows(estimates_table(found)), identification_lines(found))
     ]
+    rows = controller_rows(found, milli=milli(found))
+    sections.append(
+        Section("For a controller", rows and [("", "value", "95 % interval", ""), *rows], (controller_line(found),))
+    )
     if found.steps:
         sections.append(Section("Model selection", table_rows(model_selection_table(found))))
     if table := bands_table(found):

@@ -49,7 +49,8 @@ class Signals:
     (n,): the set-points at these times, None if not recorded. refused_rate: how a recorded rate differs from the
     deflection's derivative, which is why it is not used. unfiltered (n,): the torque as it was read, N m, if different.
     jerked (n,): which samples are beside a jump of the acceleration, so that rate or acceleration is unknown; None for
-    none. imported: whether one of the recordings is an imported table.
+    none. imported: whether one of the recordings is an imported table. motor: inertia, kg m^2, and damping,
+    N m s/rad, of the motor at the joint; 0 if unknown.
     """
 
     motion: Motion
@@ -65,6 +66,7 @@ class Signals:
     unfiltered: Array | None = None
     jerked: NDArray[np.bool_] | None = None
     imported: bool = False
+    motor: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -113,6 +115,7 @@ def joined(parts: list[Signals]) -> Signals:
         unfiltered=np.concatenate([part.as_read for part in parts]),
         jerked=None if known.all() else ~known,
         imported=any(part.imported for part in parts),
+        motor=parts[0].motor if len({part.motor for part in parts}) == 1 else (0.0, 0.0),
     )
 
 
@@ -137,6 +140,12 @@ class _Columns:
     def torque_from(self) -> str:
         """Return where the torque comes from, as in `Signals`."""
         return "motor" if self.motor_side else ("given" if self.stand is None else "joint")
+
+    @property
+    def motor(self) -> tuple[float, float]:
+        """Return the motor's inertia and damping at the joint."""
+        through = Transmission(1.0) if self.stand is None else Transmission.of(self.stand)
+        return through.motor_share(0.0, 1.0), through.motor_share(1.0, 0.0)
 
     def rows_of(self, recording: Recording, start: int, stop: int) -> UsableRows:
         """Return the usable rows from `start` to `stop`."""
@@ -314,6 +323,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
         jerked=jerked,
         unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
         imported=columns.imported,
+        motor=columns.motor,
     )
 
 
@@ -327,6 +337,7 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
         band=window.band,
         rate_window=0.0,
         torque_from=columns.torque_from,
+        motor=columns.motor,
     )
 
 

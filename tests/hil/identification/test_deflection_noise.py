@@ -20,7 +20,8 @@ from hil.identification.model_choice import choose
 from hil.identification.result import Identification
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
-from hil.report.deflection import deflection_json, deflection_lines
+from hil.report.identification import deflection_lines
+from hil.report.identification_json import deflection_json
 
 from .conftest import SEARCH
 
