@@ -19,10 +19,10 @@ from hil.api.wording import worded
 from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
 from hil.identification import user_model
+from hil.identification.coupling import Coupling
 from hil.identification.each import Task, identified
 from hil.identification.each import identify_each as identify_spread
 from hil.identification.fitting.solution import Search
-from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.recording.interval import Given, Part, between, path_of
 

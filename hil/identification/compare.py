@@ -12,9 +12,9 @@ import numpy as np
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
+from hil.identification.coupling import Coupling
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.fitting.solution import Search
-from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress

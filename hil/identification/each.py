@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.errors import Untrustworthy
+from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.fixture import identify_without_fixture
 from hil.identification.identify import identify
-from hil.identification.model_choice import Coupling
 from hil.identification.result import Identification
 from hil.identification.user_model import of_package
 from hil.recording.ahead import Progress

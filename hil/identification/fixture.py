@@ -9,9 +9,9 @@ from pathlib import Path
 
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
+from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
-from hil.identification.model_choice import Coupling
 from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.printable import quoted

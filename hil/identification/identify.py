@@ -15,28 +15,28 @@ from threadpoolctl import ThreadpoolController
 from ga.model.record import Parameter, positive_among
 from hil.diagnostics import Diagnostic
 from hil.first_run import compiled_ahead
-from hil.identification.averaging.average import averaged
-from hil.identification.dataset import Dataset, open_dataset
-from hil.identification.doubts.identifiability import judge, wide_intervals
-from hil.identification.doubts.misfit import lost_by_misfit, misfit_diagnostics
-from hil.identification.doubts.outweighed_spring import outweighed_spring
-from hil.identification.evidence import Evidence, estimates, span_met, with_misfit
-from hil.identification.fitting.deflection import (
-    deflection_diagnostics,
-    ignored_command,
-    read_with_errors,
-    summarised,
-)
-from hil.identification.fitting.described import Described, tested, without_model
+from hil.identification.candidates.choice import Choice, choose
+from hil.identification.candidates.described import Described, tested, without_model
+from hil.identification.coupling import Coupling
+from hil.identification.fitting.dataset import Dataset, open_dataset
 from hil.identification.fitting.exact import without_signs
 from hil.identification.fitting.solution import Search, Solution, solve
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
-from hil.identification.model_choice import Choice, Coupling, choose
-from hil.identification.result import Estimate, Identification
+from hil.identification.mixture.average import averaged
+from hil.identification.mixture.deflection import read_with_errors
+from hil.identification.result import Estimate, Identification, Step
 from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
-from hil.identification.selection.rivals import beside_doubtful_terms, with_rivals
-from hil.identification.selection.stepwise import Step
+from hil.identification.verdict.deflection import (
+    deflection_diagnostics,
+    ignored_command,
+    summarised,
+)
+from hil.identification.verdict.evidence import Evidence, estimates, span_met, with_misfit
+from hil.identification.verdict.identifiability import judge, wide_intervals
+from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics
+from hil.identification.verdict.outweighed_spring import outweighed_spring
+from hil.identification.verdict.rivals import beside_doubtful_terms, with_rivals
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.signals.prepare import Signals

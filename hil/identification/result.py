@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.model_choice import Coupling
-from hil.identification.selection.stepwise import Step
+from hil.identification.coupling import Coupling
 from hil.signals.prepare import Signals
 from hil.uncertainty.deflection.correction import Method
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
@@ -23,6 +22,27 @@ from hil.uncertainty.stationarity import VarianceComponents
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
 _SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One model of the selection, and the gain of its last term.
+
+    model: the model's name. term: its last term. fitness: mean |error| of all samples, N m. held_out: mean |error| of
+    blocks that the fit did not see, N m. gain: the gain in score by `term` beyond chance, NaN for the first model. Kc,
+    Bc: their values, SI. included: whether the term is in the selected model. cost: twice the log odds against the term
+    before the data are seen.
+    """
+
+    model: str
+    term: str
+    fitness: float
+    held_out: float
+    gain: float
+    Kc: float
+    Bc: float
+    included: bool
+    cost: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from hil.report.formatting import diagnostics_json, json_number
 from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
 
 if TYPE_CHECKING:
-    from hil.identification.result import Deflection, Estimate, Fixture, Identification
-    from hil.identification.selection.stepwise import Step
+    from hil.identification.result import Deflection, Estimate, Fixture, Identification, Step
 
 SCHEMA = "hil-identification/2"
 _FIRST = "hil-identification/1"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.model.record import Parameter, positive_among
 from hil.errors import WrongUse, meant
-from hil.identification.model_choice import Coupling
+from hil.identification.coupling import Coupling
 
 Array = NDArray[np.float64]
 Given = Mapping[str, tuple[float, float]]

@@ -23,8 +23,8 @@ from ga.trials.nonlinear import search_nonlinear
 from ga.trials.outcome import Trials
 from ga.trials.trials import run_trials
 from hil.errors import WrongUse
-from hil.identification.dataset import Dataset
 from hil.identification.fitting.bounds import bounds_for, narrowed
+from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.forecast import forecast
 from hil.recording.ahead import Progress

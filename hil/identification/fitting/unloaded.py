@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.springs import risen
-from hil.identification.evidence import DEFLECTION, UNLOADED_PLACE, Span
-from hil.identification.model_choice import Coupling
+from hil.identification.coupling import Coupling
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
@@ -31,6 +30,16 @@ from hil.uncertainty.confidence import covariance
 from hil.uncertainty.criteria import EVIDENCE_AGAINST
 
 Array = NDArray[np.float64]
+
+UNLOADED_PLACE = "unloaded place"
+DEFLECTION = "deflection"
+"""The quantity on which the Kc of a spring that curves depends, if the unloaded deflection is not known."""
+
+Span = tuple[float, float, str]
+"""The smallest and the largest Kc, N m/rad, of a model without a single Kc, and the quantity on which Kc depends ("":
+Kc varies only by errors).
+"""
+
 
 _ROWS = 6000  # of all, by which the curve is found
 _DEGREES = (1, 3, 5, 7, 9)  # of the curve, the first beyond which nothing is evident

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.record import positive_among
-from hil.identification.dataset import Dataset
+from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
 from hil.uncertainty.blocks import Blocks

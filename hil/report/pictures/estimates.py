@@ -15,8 +15,7 @@ from hil.report.identification import milli, printed
 from hil.units import with_unit
 
 if TYPE_CHECKING:
-    from hil.identification.result import Estimate, Identification
-    from hil.identification.selection.stepwise import Step
+    from hil.identification.result import Estimate, Identification, Step
 
 Array = NDArray[np.float64]
 

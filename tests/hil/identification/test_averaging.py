@@ -11,13 +11,13 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
 from ga.model.trajectory import Motion
-from hil.identification.averaging import average, largest, rate_laws
-from hil.identification.averaging.average import Averaged
-from hil.identification.averaging.largest import Largest, largest_model
+from hil.identification.candidates.choice import Choice, choose
+from hil.identification.candidates.late import Alternative
 from hil.identification.identify import identify
-from hil.identification.model_choice import Choice, choose
-from hil.identification.selection.late import Alternative
-from hil.identification.selection.stepwise import Step
+from hil.identification.mixture import average, largest, rate_laws
+from hil.identification.mixture.average import Averaged
+from hil.identification.mixture.largest import Largest, largest_model
+from hil.identification.result import Step
 from hil.recording.reader import Array, Recording
 from hil.report.identification_json import as_json
 from hil.signals.prepare import prepare

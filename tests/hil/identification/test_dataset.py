@@ -13,12 +13,12 @@ from ga.evolution.evolution import PRESETS
 from ga.lad import out_of_core
 from ga.model.coupling import parse as parse_model
 from hil.cli.app import run
-from hil.identification import dataset
+from hil.identification.candidates.choice import Choice
 from hil.identification.compare import compare
-from hil.identification.dataset import open_dataset
+from hil.identification.fitting import dataset
+from hil.identification.fitting.dataset import open_dataset
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.model_choice import Choice
 from hil.identification.result import Identification
 from hil.recording.ahead import Progress
 from hil.recording.reader import Array, Recording

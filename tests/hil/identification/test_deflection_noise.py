@@ -14,9 +14,9 @@ from scipy.special import erf
 
 from ga.model.coupling import parse
 from hil.exchange.importer import Column, import_table
-from hil.identification.averaging import average, largest
+from hil.identification.candidates.choice import choose
 from hil.identification.identify import identify
-from hil.identification.model_choice import choose
+from hil.identification.mixture import average, largest
 from hil.identification.result import Identification
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write

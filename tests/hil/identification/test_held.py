@@ -14,8 +14,8 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
+from hil.identification.candidates.held import taken_off
 from hil.identification.identify import identify
-from hil.identification.selection.held import taken_off
 from hil.recording.reader import Array
 
 from ..conftest import Maker

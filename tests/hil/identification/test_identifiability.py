@@ -16,14 +16,13 @@ from ga.model.coupling import parse
 from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
-from hil.identification.doubts import confounding
-from hil.identification.doubts.identifiability import other_stiffness
-from hil.identification.doubts.misfit import lost_by_misfit
-from hil.identification.evidence import Evidence, span_met, span_of_stiffness, with_misfit
 from hil.identification.identify import identify
-from hil.identification.result import Estimate, Identification, Repeatability
-from hil.identification.selection.rivals import beside_doubtful_terms, with_rivals
-from hil.identification.selection.stepwise import Step
+from hil.identification.result import Estimate, Identification, Repeatability, Step
+from hil.identification.verdict import confounding
+from hil.identification.verdict.evidence import Evidence, span_met, span_of_stiffness, with_misfit
+from hil.identification.verdict.identifiability import other_stiffness
+from hil.identification.verdict.misfit import lost_by_misfit
+from hil.identification.verdict.rivals import beside_doubtful_terms, with_rivals
 from hil.recording.reader import Array
 from hil.report.identification import headline, summary_lines
 from hil.report.identification_json import as_json

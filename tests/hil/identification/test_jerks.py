@@ -15,11 +15,11 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from ga.model.coupling import parse
-from hil.identification.doubts import misfit
-from hil.identification.fitting.described import Described
+from hil.identification.candidates import stepwise
+from hil.identification.candidates.described import Described
+from hil.identification.candidates.stepwise import Selection
 from hil.identification.identify import identify
-from hil.identification.selection import stepwise
-from hil.identification.selection.stepwise import Selection
+from hil.identification.verdict import misfit
 from hil.recording.reader import Array
 
 from ..conftest import Maker

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from ga.lad.out_of_core import reduce
 from hil.uncertainty.confidence import confidence_intervals
-from hil.identification.disk_table import DiskTable
+from hil.identification.fitting.disk_table import DiskTable
 
 ROWS, BLOCK = 2_000_000, 1 << 17
 

@@ -22,11 +22,11 @@ from hil.acquisition.excitation import make
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.errors import Untrustworthy
-from hil.identification import model_choice
-from hil.identification.model_choice import _is_sticking, choose
-from hil.identification.selection.fits import LATE, Candidate, Fits
-from hil.identification.selection.late import EARLIER
-from hil.identification.selection.stepwise import Selection
+from hil.identification.candidates import choice as choosing
+from hil.identification.candidates.choice import _is_sticking, choose
+from hil.identification.candidates.fits import LATE, Candidate, Fits
+from hil.identification.candidates.late import EARLIER
+from hil.identification.candidates.stepwise import Selection
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.defects import Defects
@@ -198,13 +198,13 @@ def test_the_terms_considered_are_those_that_the_motion_can_show_and_the_torque_
     motion = Motion(time, angle, rate, -(pace**2) * angle, np.zeros(len(time)))
     torque = KC * angle + 1e-4 * rate
     signals = Signals(motion, torque, Defects(), (0.1, 0.4), 0.0, torque_from)
-    seen: list[model_choice._Considered] = []
+    seen: list[choosing._Considered] = []
 
-    def select(_signals: Signals, _seen: object, considered: model_choice._Considered, **_more: object) -> Selection:
+    def select(_signals: Signals, _seen: object, considered: choosing._Considered, **_more: object) -> Selection:
         seen.append(considered)
         raise RuntimeError
 
-    monkeypatch.setattr(model_choice, "_select", select)
+    monkeypatch.setattr(choosing, "_select", select)
     with pytest.raises(Untrustworthy, match="no model can be fitted"):
         choose(None, signals, linear_only=False)
     (considered,) = seen

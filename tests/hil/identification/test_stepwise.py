@@ -17,11 +17,11 @@ from ga.model.memory import lagged
 from ga.model.separable import Fit, Problem, best_start
 from ga.model.terms import RARER, is_addable, with_another
 from ga.model.trajectory import Motion
-from hil.identification.selection import criterion, stepwise
-from hil.identification.selection import fits as fits_module
-from hil.identification.selection.fits import LATE, Candidate, Fits
-from hil.identification.selection.late import EARLIER, LateReading
-from hil.identification.selection.stepwise import Selection, select
+from hil.identification.candidates import criterion, stepwise
+from hil.identification.candidates import fits as fits_module
+from hil.identification.candidates.fits import LATE, Candidate, Fits
+from hil.identification.candidates.late import EARLIER, LateReading
+from hil.identification.candidates.stepwise import Selection, select
 from hil.signals.rate.windows import Window
 from hil.uncertainty.residual_spectrum import ResidualSpectrum
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
-from hil.identification.evidence import UNLOADED_PLACE
-from hil.identification.fitting.unloaded import Unloaded, unloaded
+from hil.identification.fitting.unloaded import UNLOADED_PLACE, Unloaded, unloaded
 from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.writer import Header, write

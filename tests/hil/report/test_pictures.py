@@ -11,8 +11,7 @@ import pytest
 from ga.model.coupling import parse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.result import Identification
-from hil.identification.selection.stepwise import Step
+from hil.identification.result import Identification, Step
 from hil.report.pictures import checks
 from hil.report.pictures.result import pictures
 from hil.report.pictures.search import Landscape, has_landscape, landscape

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ga.model.terms import PARAMETERS
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic, again
-from hil.identification.doubts.confounding import confounded, several_speeds
-from hil.identification.evidence import DEFLECTION, UNLOADED_PLACE, Evidence, sliding, span_of_stiffness
+from hil.identification.fitting.unloaded import DEFLECTION, UNLOADED_PLACE
+from hil.identification.verdict.confounding import confounded, several_speeds
+from hil.identification.verdict.evidence import Evidence, sliding, span_of_stiffness
 from hil.uncertainty.criteria import (
     BETWEEN,
     COUPLING,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.sticking import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic, again
-from hil.identification.evidence import Evidence
+from hil.identification.verdict.evidence import Evidence
 from hil.uncertainty.criteria import (
     FRICTION,
     LITTLE_FRICTION,

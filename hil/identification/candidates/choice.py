@@ -4,23 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
 from ga.model.friction import SMOOTH
-from ga.model.separable import Problem, SeparableModel, fit
+from ga.model.separable import Problem, fit
 from ga.model.terms import CONSIDERED, RARER, TERMS, with_another
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
-from hil.identification.fitting.described import Described, tested
-from hil.identification.selection import stepwise
-from hil.identification.selection.fits import LATE, Fits
-from hil.identification.selection.late import EARLIER, Alternative, Lateness
-from hil.identification.selection.stepwise import Selection, Step
+from hil.identification.candidates import stepwise
+from hil.identification.candidates.described import Described, tested
+from hil.identification.candidates.fits import LATE, Fits
+from hil.identification.candidates.late import EARLIER, Alternative, Lateness
+from hil.identification.candidates.stepwise import Selection
+from hil.identification.coupling import Coupling
+from hil.identification.result import Step
 from hil.signals.defects import FEWEST
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
@@ -30,19 +31,6 @@ Array = NDArray[np.float64]
 _STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
 _OF_FRICTION = 0.02  # that turns smoothly, up to which errors of the rate may move it where it turns
 _KNOWN, _NONE = 100, 1e-9  # samples whose error is known well, and the part of the fastest rate that is no motion
-
-
-class Coupling(SeparableModel, Protocol):
-    """A model of the coupling: `ga.model.coupling.CouplingModel`, or a user's own."""
-
-    @property
-    def name(self) -> str: ...  # noqa: D102
-    def anchored(self, motion: Motion) -> Coupling: ...  # noqa: D102
-    def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]: ...  # noqa: D102
-    def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]: ...  # noqa: D102
-    def delay(self, nonlinear: Array | None) -> float: ...  # noqa: D102
-    @property
-    def sticks(self) -> bool: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Select a model by forward steps: a term is included as long as it improves the score.
 
-Each step compares the terms that improve the score (`hil.identification.selection.criterion`) and adds the one that
+Each step compares the terms that improve the score (`hil.identification.candidates.criterion`) and adds the one that
 predicts held-out blocks best. Terms that no longer improve the score are removed.
 """
 
@@ -19,9 +19,10 @@ from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit
 from ga.model.terms import CONSIDERED, TERMS, is_addable, lacking, with_another
 from ga.model.trajectory import Motion
-from hil.identification.selection.criterion import PLAINEST_FIRST, Criterion, criterion_of
-from hil.identification.selection.fits import Candidate, Fits, own
-from hil.identification.selection.late import Alternative, Lateness, LateReading
+from hil.identification.candidates.criterion import PLAINEST_FIRST, Criterion, criterion_of
+from hil.identification.candidates.fits import Candidate, Fits, own
+from hil.identification.candidates.late import Alternative, Lateness, LateReading
+from hil.identification.result import Step
 from hil.signals.rate.windows import Window
 from hil.uncertainty.model_average import AKAIKE
 
@@ -30,27 +31,6 @@ Array = NDArray[np.float64]
 _RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
 _LIKELY = 3  # rarer terms that are considered, of those that lower the fitness most
 _STIFFER = 2.0  # times Kc, with which errors of the deflection show in the torque beside a branch or friction
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """One model of the selection, and the gain of its last term.
-
-    model: the model's name. term: its last term. fitness: mean |error| of all samples, N m. held_out: mean |error| of
-    blocks that the fit did not see, N m. gain: the gain in score by `term` beyond chance, NaN for the first model. Kc,
-    Bc: their values, SI. included: whether the term is in the selected model. cost: twice the log odds against the term
-    before the data are seen.
-    """
-
-    model: str
-    term: str
-    fitness: float
-    held_out: float
-    gain: float
-    Kc: float
-    Bc: float
-    included: bool
-    cost: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,8 @@ from itertools import pairwise
 
 from ga.model.terms import RARER, TERMS
 from hil.diagnostics import Diagnostic
-from hil.identification.result import Estimate, interval
-from hil.identification.selection.criterion import STRONG
-from hil.identification.selection.stepwise import Step
+from hil.identification.candidates.criterion import STRONG
+from hil.identification.result import Estimate, Step, interval
 from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
 from hil.uncertainty.misfit import LackOfFit
 from hil.units import with_unit

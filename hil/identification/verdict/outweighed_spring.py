@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.diagnostics import Diagnostic
-from hil.identification.doubts.misfit import percent
-from hil.identification.fitting.described import Described
+from hil.identification.candidates.described import Described
+from hil.identification.verdict.misfit import percent
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.misfit import LackOfFit
 

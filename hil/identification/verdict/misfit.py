@@ -10,9 +10,9 @@ import numpy as np
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic, again
-from hil.identification.doubts.confounding import CURVES
-from hil.identification.fitting.described import Described, tested_motion
+from hil.identification.candidates.described import Described, tested_motion
 from hil.identification.result import Estimate
+from hil.identification.verdict.confounding import CURVES
 from hil.signals.torque_reading import seen_in_torque
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit

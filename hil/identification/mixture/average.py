@@ -31,12 +31,12 @@ from scipy.special import ndtr
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
-from hil.identification.averaging.largest import BENCH, Largest, contains, largest_model, own_values
-from hil.identification.averaging.rate_laws import falling, growing
-from hil.identification.fitting.deflection import read_with_errors
-from hil.identification.model_choice import Choice
-from hil.identification.selection.late import Alternative
-from hil.identification.selection.stepwise import Step
+from hil.identification.candidates.choice import Choice
+from hil.identification.candidates.late import Alternative
+from hil.identification.mixture.deflection import read_with_errors
+from hil.identification.mixture.largest import BENCH, Largest, contains, largest_model, own_values
+from hil.identification.mixture.rate_laws import falling, growing
+from hil.identification.result import Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average

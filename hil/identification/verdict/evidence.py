@@ -14,7 +14,8 @@ from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
-from hil.identification.model_choice import Coupling
+from hil.identification.coupling import Coupling
+from hil.identification.fitting.unloaded import Span
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
@@ -33,18 +34,8 @@ from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
 
-UNLOADED_PLACE = "unloaded place"
-DEFLECTION = "deflection"
-"""The quantity on which the Kc of a spring that curves depends, if the unloaded deflection is not known."""
-
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
 _MARGIN = 1e-4  # part of a range within which a value is at its end
-
-
-Span = tuple[float, float, str]
-"""The smallest and the largest Kc, N m/rad, of a model without a single Kc, and the quantity on which Kc depends ("":
-Kc varies only by errors).
-"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
-from hil.identification.selection.held import damping_at, of_jerk
+from hil.identification.candidates.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import is_smooth

@@ -22,8 +22,8 @@ from ga.model.separable import Problem
 from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable
 from ga.model.trajectory import Motion
+from hil.identification.candidates.late import Alternative
 from hil.identification.fitting.jumps import rate_beside_jumps
-from hil.identification.selection.late import Alternative
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.identification.disk_table import DiskTable
+from hil.identification.candidates.choice import Choice
+from hil.identification.fitting.disk_table import DiskTable
 from hil.identification.fitting.unloaded import Rest, Unloaded, unloaded
-from hil.identification.model_choice import Choice
 from hil.recording.ahead import Progress, ahead
 from hil.signals.defects import Defects
 from hil.signals.prepare import LongRecording, Signals, joined, prepare, refuse_at_rest

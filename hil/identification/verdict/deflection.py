@@ -6,14 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.identification.evidence import Evidence
-from hil.identification.model_choice import Coupling
 from hil.identification.result import Deflection
-from hil.signals.deflection_noise import smallest_step
+from hil.identification.verdict.evidence import Evidence
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
-from hil.uncertainty.deflection.correction import DeflectionErrors, deflection_errors
-from hil.uncertainty.deflection.fitted import Fitted
+from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.deflection.instruments import is_instrument
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
@@ -22,39 +19,8 @@ Array = NDArray[np.float64]
 _SAID = (5e-3, 0.03)  # changes of Kc and Bc, relative, from which they are a warning
 _FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
 _FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
-_LOOKED = 1 << 16  # readings of the torque that show its counts
 _IMPORTED = ", or name its column with --command"
 _REMEDY = "use a larger amplitude or a finer encoder"
-
-
-def read_with_errors(
-    model: Coupling, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
-) -> DeflectionErrors | None:
-    """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
-
-    used (n,): the samples that the model is fitted to. values (p + q,): the exact optimum, SI. half_width (p + q,):
-    half the intervals of the values, SI.
-    """
-    window, motion = signals.window, signals.motion
-    places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
-    if window is None or not places or not np.isfinite(half_width[places]).all():
-        return None
-    p = len(model.linear)
-    return deflection_errors(
-        Fitted(
-            model=model,
-            motion=motion,
-            torque=signals.torque,
-            used=used,
-            genes=values[:p],
-            nonlinear=values[p:],
-            half_width=half_width,
-            decisive=tuple(places),
-            window=window,
-            command=signals.command if motion.part_of is None else None,
-            torque_count=smallest_step(signals.as_read[:_LOOKED]),
-        )
-    )
 
 
 def summarised(evidence: Evidence) -> Deflection | None:

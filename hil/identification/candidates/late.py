@@ -17,9 +17,9 @@ from ga.model.separable import descend
 from ga.model.springs import SHORTEST_RELAXATION
 from ga.model.terms import is_addable
 from ga.model.trajectory import FORGOTTEN
-from hil.identification.selection.criterion import STRONG, Criterion
-from hil.identification.selection.fits import LATE, Candidate, Fits, own
-from hil.identification.selection.held import DRIVES, damping_at, taken_off
+from hil.identification.candidates.criterion import STRONG, Criterion
+from hil.identification.candidates.fits import LATE, Candidate, Fits, own
+from hil.identification.candidates.held import DRIVES, damping_at, taken_off
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
 from hil.uncertainty.model_average import AKAIKE
 

@@ -30,9 +30,9 @@ from ga.model.hysteresis import REACHES
 from ga.model.memory import falls
 from ga.model.terms import PARAMETERS, is_addable
 from ga.model.trajectory import Motion
-from hil.identification.averaging.largest import Largest, largest_model
-from hil.identification.selection.criterion import by_rate, density_at_zero
-from hil.identification.selection.late import Alternative
+from hil.identification.candidates.criterion import by_rate, density_at_zero
+from hil.identification.candidates.late import Alternative
+from hil.identification.mixture.largest import Largest, largest_model
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
