@@ -6,7 +6,7 @@ import ast
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 from hil.errors import WrongUse
 
@@ -25,14 +25,8 @@ class Term(NamedTuple):
     factor: float
 
 
-class _Sum(NamedTuple):
-    """A number, or else a sum of columns."""
-
-    number: float
-    terms: tuple[Term, ...] = ()
-
-    def times(self, factor: float) -> _Sum:
-        return _Sum(self.number * factor, tuple(one._replace(factor=one.factor * factor) for one in self.terms))
+Sum = dict[tuple[str, str | None], float]  # the factor of each column, by name and unit; a number has the name ""
+_NUMBER = ("", None)
 
 
 def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) -> list[Term]:
@@ -48,19 +42,14 @@ def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) ->
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, MemoryError, RecursionError):
-        return _no_sum(text, place)
+        try:
+            place(text)
+        except WrongUse as missing:
+            raise WrongUse(f"{missing}. For a sum of columns {_GRAMMAR}") from None
     found = _Parser(text.strip(), place, has).sum_of(tree.body)
-    if not found.terms or not all(math.isfinite(one.factor) for one in found.terms):
+    if _NUMBER in found or not all(map(math.isfinite, found.values())):
         raise WrongUse(f"{text!r} is not a sum of columns with finite factors: {_GRAMMAR}")
-    return list(found.terms)
-
-
-def _no_sum(text: str, place: Callable[[str], int]) -> NoReturn:
-    try:
-        place(text)
-    except WrongUse as missing:
-        raise WrongUse(f"{missing}. For a sum of columns {_GRAMMAR}") from None
-    raise AssertionError(text)  # a column of this name would have been found
+    return [Term(*key, factor) for key, factor in found.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,45 +60,48 @@ class _Parser:
     place: Callable[[str], int]
     has: Callable[[str], bool]
 
-    def sum_of(self, node: ast.expr) -> _Sum:
+    def sum_of(self, node: ast.expr) -> Sum:
         """Return the sum that a node of the syntax tree means. Raises WrongUse."""
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                return _Sum(float(number))
+                return {_NUMBER: float(number)}
             case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign):
-                return self.sum_of(node.operand).times(-1.0 if isinstance(sign, ast.USub) else 1.0)
-            case ast.BinOp(op=ast.Add() | ast.Sub() | ast.Mult() | ast.Div()):
-                return self._joined(node)
+                return _times(self.sum_of(node.operand), -1.0 if isinstance(sign, ast.USub) else 1.0)
+            case ast.BinOp(op=ast.Add() | ast.Sub()):
+                left, right = self.sum_of(node.left), self.sum_of(node.right)
+                if (_NUMBER in left) is not (_NUMBER in right):
+                    raise self._wrong(node, "adds a number without a unit to a column")
+                right = _times(right, -1.0 if isinstance(node.op, ast.Sub) else 1.0)
+                return {key: left.get(key, 0.0) + right.get(key, 0.0) for key in left | right}
+            case ast.BinOp(op=ast.Mult() | ast.Div()):
+                return self._product(node, self.sum_of(node.left), self.sum_of(node.right))
             case ast.Name() | ast.Attribute() | ast.Subscript() | ast.Call() | ast.Constant(value=str()):
-                return _Sum(0.0, (self._column(node),))
+                return {self._column(node): 1.0}
         raise WrongUse(f"{self.text!r}: {self._written(node)!r} cannot stand in a sum of columns: {_GRAMMAR}")
 
-    def _joined(self, node: ast.BinOp) -> _Sum:
-        left, right = self.sum_of(node.left), self.sum_of(node.right)
-        if isinstance(node.op, ast.Add | ast.Sub):
-            right = right.times(-1.0 if isinstance(node.op, ast.Sub) else 1.0)
-            if bool(left.terms) == bool(right.terms):
-                return _Sum(left.number + right.number, left.terms + right.terms)
-            self._refuse(node, "adds a number without a unit to a column")
+    def _product(self, node: ast.BinOp, left: Sum, right: Sum) -> Sum:
         if isinstance(node.op, ast.Div):
-            if right.terms or right.number == 0.0:
-                self._refuse(node, "divides by a column" if right.terms else "divides by zero")
-            return left.times(1.0 / right.number)
-        if left.terms and right.terms:
-            self._refuse(node, "multiplies two columns")
-        return left.times(right.number) if left.terms or not right.terms else right.times(left.number)
+            if not right.get(_NUMBER):
+                raise self._wrong(node, "divides by zero" if _NUMBER in right else "divides by a column")
+            return _times(left, 1.0 / right[_NUMBER])
+        if _NUMBER not in left and _NUMBER not in right:
+            raise self._wrong(node, "multiplies two columns")
+        return _times(left, right[_NUMBER]) if _NUMBER in right else _times(right, left[_NUMBER])
 
-    def _column(self, node: ast.expr) -> Term:
-        name = node.value if isinstance(node, ast.Constant) else self._written(node)
-        if not self.has(str(name)) and isinstance(node, ast.Subscript):  # joint[deg]
-            inner = node.value.value if isinstance(node.value, ast.Constant) else self._written(node.value)
-            if self.has(str(inner)):
-                return Term(str(inner), self._written(node.slice), 1.0)
-        self.place(str(name))
-        return Term(str(name), None, 1.0)
+    def _column(self, node: ast.expr) -> tuple[str, str | None]:
+        name = self._written(node)
+        if not self.has(name) and isinstance(node, ast.Subscript) and self.has(inner := self._written(node.value)):
+            return inner, self._written(node.slice)  # joint[deg]
+        self.place(name)
+        return name, None
 
     def _written(self, node: ast.expr) -> str:
-        return ast.get_source_segment(self.text, node) or ""
+        quoted = isinstance(node, ast.Constant) and isinstance(node.value, str)
+        return str(node.value) if quoted else ast.get_source_segment(self.text, node) or ""
 
-    def _refuse(self, node: ast.expr, what: str) -> None:
-        raise WrongUse(f"{self.text!r} {what} ({self._written(node)}): {_GRAMMAR}")
+    def _wrong(self, node: ast.expr, what: str) -> WrongUse:
+        return WrongUse(f"{self.text!r} {what} ({self._written(node)}): {_GRAMMAR}")
+
+
+def _times(one: Sum, factor: float) -> Sum:
+    return {key: own * factor for key, own in one.items()}
