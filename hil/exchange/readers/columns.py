@@ -20,7 +20,8 @@ Columns = Mapping[str, Callable[[], Any]]
 """For each heading a function that reads the column (n,): numbers, texts, or dates and times (datetime64, timedelta64).
 """
 
-_MOST = 256  # columns of one matrix
+MOST = 256
+"""The largest number of columns that are read of one matrix."""
 _UNIT_KEYS = ("units", "unit", "Units", "Unit", "unit_string")
 _SECOND = np.timedelta64(1, "s")
 
@@ -52,7 +53,7 @@ def of_matrix(
         range(size) if axis != rows else [slice(None)] for axis, size in enumerate(shape)
     ]
     alone = math.prod(shape) == max(shape, default=1)
-    for index in islice(product(*places), _MOST):
+    for index in islice(product(*places), MOST):
         at = [(axis, place) for axis, place in enumerate(index) if not isinstance(place, slice)]
         if len(at) == 1 and (names := beside.get(shape[at[0][0]])) and not alone:
             yield f"{name}.{names[at[0][1]]}", index

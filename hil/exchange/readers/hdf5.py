@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 
 from hil.errors import WrongUse
-from hil.exchange.readers.columns import Columns, of_matrix, titled
+from hil.exchange.nested import Names, names_of
+from hil.exchange.readers.columns import MOST, Columns, of_matrix, titled
 from hil.exchange.readers.matlab import no_numbers
 
 _CLASS = "MATLAB_class"
@@ -43,13 +44,23 @@ def read(source: Path) -> Columns:
         for path, item in _items(file):
             if isinstance(item, h5py.Dataset) and kinds[path] in {"", "cell", *_NUMBERS}:
                 matlab = any(kinds.values())
+                beside = _names_beside(item)
                 for name, part in _parts(file, path, item, matlab=matlab):
-                    for column, index in of_matrix(name, part, matlab=matlab):
+                    for column, index in of_matrix(name, part, matlab=matlab, beside=beside):
                         found[titled(column, dict(item.attrs))] = partial(
                             _values, source, part, index[::-1] if matlab else index
                         )
     objects = {path: kind for path, kind in kinds.items() if kind not in {"", "cell", "char", "struct", *_NUMBERS}}
     return found | no_numbers(source, objects, alone=not found)
+
+
+def _names_beside(item: h5py.Dataset) -> Names:
+    """Return the lists of names that stand in the group of a matrix."""
+    near = item.parent.values() if item.ndim > 1 else ()
+    texts = [one for one in near if isinstance(one, h5py.Dataset) and one.ndim == 1 and one.size <= MOST]
+    return names_of(
+        one.asstr(errors="replace")[()].tolist() for one in texts if h5py.check_string_dtype(one.dtype) is not None
+    )
 
 
 def _items(file: h5py.File) -> Iterator[tuple[str, Any]]:

@@ -95,7 +95,7 @@ def read(
                     for column, number in zip(kept, numbers, strict=True):
                         column.append(number)
             except NotANumber as error:
-                damage.note(last, str(error), form, row)
+                damage.note(source, last, str(error), form, row)
         try:
             cells.check_commas(source)
         except OtherStyle as other:
@@ -131,8 +131,14 @@ class _Damage:
     def __init__(self) -> None:
         self.lost: list[tuple[int, str]] = []
 
-    def note(self, line: int, what: str, form: Layout, row: list[str]) -> None:
+    def note(self, source: Path, line: int, what: str, form: Layout, row: list[str]) -> None:
+        """Count a line, unless it holds no reading. Raises WrongUse for headings in another order."""
         cells = tuple(cell.strip().lstrip("\ufeff") for cell in row)
+        if cells not in form.heads and any(len({*cells} & {*head} - {""}) > 1 for head in form.heads):
+            raise WrongUse(
+                f"{source}, row {line}: the headings stand there again, with other columns or in another order, so "
+                "that the columns below are others: write each part into a file of its own"
+            )
         if cells not in form.heads and not COMMENT.match(row[0]) and any(map(_READING.match, cells)):
             self.lost.append((line, what))
 

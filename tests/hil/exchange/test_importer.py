@@ -480,6 +480,7 @@ def test_a_torque_in_one_direction_has_its_sign(tmp_path: Path) -> None:
     ("text", "said"),
     [
         (HEAD + "".join(LINES[13 * at % 400] for at in range(400)), "as in 12 of 400 rows: it is no time"),
+        (HEAD + "".join(LINES[:9]) + "angle [rad],time [s],torque [N*m]\n" + LINES[0], "headings stand there again"),
         (HEAD + "".join(LINES).replace(",", " Nm,"), "'0.00 Nm' is not a number: write the unit in the heading only"),
         (HEAD + "".join(f"{at},{line}" for at, line in enumerate(LINES)), "4 fields, but the header names 3"),
     ],

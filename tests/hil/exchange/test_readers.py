@@ -58,6 +58,7 @@ def mat_v73(path: Path) -> None:
 def hdf5(path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["run/time"], file["run/both"] = TIME, BOTH
+        file["sim/names"], file["sim/qpos"] = ["finger", "thumb"], BOTH
         file["run/both"].attrs["units"] = "mN*m"
         file["table"] = np.array(list(zip(TAU, BOTH, strict=True)), dtype=[("tau", "f8"), ("v", "f8", (2,))])
         file["packed"] = np.array([0, 100, -1] + 37 * [5], dtype="i2")
@@ -129,7 +130,16 @@ WRITERS: Mapping[str, tuple[Callable[[Path], None], Mapping[str, Any]]] = {
     "v7.mat": (mat_v7, SIGNALS | {"R(1,:)": TAU, "c{1}(2,:)": ANGLE}),
     "v73.mat": (mat_v73, SIGNALS),
     "v4.mat": (lambda path: savemat(path, {"M": BOTH}, format="4"), {"M(:,1)": TAU}),
-    "a.h5": (hdf5, {"run/time": TIME, "run/both[:,1] [mN*m]": ANGLE, "table.v[:,1]": ANGLE, "packed": UNPACKED}),
+    "a.h5": (
+        hdf5,
+        {
+            "run/time": TIME,
+            "run/both[:,1] [mN*m]": ANGLE,
+            "table.v[:,1]": ANGLE,
+            "packed": UNPACKED,
+            "sim/qpos.thumb": ANGLE,
+        },
+    ),
     "a.parquet": (parquet, {"stamp [s]": STARTED + TIME, "tau [N*m]": TAU, "v[1]": ANGLE, "w.torque.z": TAU}),
     "a.tdms": (tdms, {"bench/time [s]": TIME, "bench/tau [N*m]": TAU, "late/time [s]": 1.0 + TIME}),
     "a.npz": (numpys, {"t": TIME, "both[:,1]": ANGLE, "q.thumb": ANGLE}),
