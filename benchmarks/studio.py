@@ -86,15 +86,14 @@ def studio(folder: Path) -> Iterator[tuple[str, int]]:
         try:
             yield re.findall(r"http://\S+", process.stderr.readline())[0], process.pid
         finally:
-            for _ in range(3):
-                process.send_signal(signal.SIGINT)
+            process.terminate()
 
 
 def opened(browser: Browser, link: str) -> Page:
     page = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
     page.set_default_timeout(SOON)
     page.goto(link)
-    page.wait_for_selector("#stands input")
+    page.wait_for_selector("#stands input", state="attached")
     return page
 
 
@@ -147,7 +146,7 @@ def cost(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, st
             done = subprocess.run(bare, cwd=folder, capture_output=True, text=True, check=True)
             missed["bare"].append(json.loads(done.stdout)["missed"])
             page.goto(link.partition("#")[0])
-            page.wait_for_selector("#stands input")
+            page.wait_for_selector("#stands input", state="attached")
             page.click("#to-record")
             page.fill("[name=duration]", str(options.seconds))
             page.click("#start")
@@ -196,7 +195,7 @@ def hour(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, st
             ),
         )
         page.reload()
-        page.wait_for_selector("#stands input")
+        page.wait_for_selector("#stands input", state="attached")
         session = page.context.new_cdp_session(page)
         began = time.monotonic()
         for seq in range(1, options.rows):

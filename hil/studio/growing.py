@@ -37,7 +37,8 @@ class Growing:
         self._late = 0
         self.duration = duration
         with h5py.File(path, "r") as file:
-            self.rate = float(file["profile"].attrs.get("rate", 0.0))
+            profile = file["profile"].attrs
+            self.rate, self._mode = float(profile.get("rate", 0.0)), str(profile.get("mode", "torque"))
             events = file["live_events"]
             place = {"offset": events.id.get_offset(), "shape": (len(events),), "dtype": events.dtype}
         self._events = np.memmap(path, mode="r", **place)
@@ -77,6 +78,7 @@ class Growing:
         return {
             "rows": state.count,
             "planned": self.rate,
+            "mode": self._mode,
             "rate": _known(state.rate),
             "lateness": _known(float(np.nanquantile(late, 0.99)) if np.isfinite(late).any() else np.nan),
             "late": self._late,

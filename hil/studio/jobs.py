@@ -18,6 +18,7 @@ import time
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from threading import Event
 from typing import Any, Final
 
 from hil.child import command
@@ -147,7 +148,7 @@ class Jobs:
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
         self.job: Job | None = None
-        self._launching = self._unwanted = False  # a stop may come while a thread starts the process
+        self._launching, self._unwanted = Event(), Event()  # a stop may come while a thread starts the process
         self._watching: set[asyncio.Task[None]] = set()
 
     @property
@@ -166,19 +167,22 @@ class Jobs:
                 return
 
     def start(self, wanted: Mapping[str, Any]) -> Job:
-        """Start a command. Live readings make room for it. Raises WrongUse if another one runs."""
-        self.find_foreign()
-        running = self.running
-        if running is not None and running.line.kind != "readings":
-            raise WrongUse(f"hil {running.line.kind} is running: wait for its end, or stop it first")
-        line = line_of(wanted, self.folder)
-        self.end()  # of readings: a drive answers one program at a time
-        self._launching, self._unwanted = True, False
+        """Start a command. Live readings make room for it. Raises WrongUse if another one runs, or if a stop came."""
+        self._unwanted.clear()
+        self._launching.set()
         try:
+            self.find_foreign()
+            running = self.running
+            if running is not None and running.line.kind != "readings":
+                raise WrongUse(f"hil {running.line.kind} is running: wait for its end, or stop it first")
+            line = line_of(wanted, self.folder)
+            self.end()  # of readings: a drive answers one program at a time
+            if self._unwanted.is_set():
+                raise WrongUse("it was stopped before it began")
             self.job = job = Job(line, self.folder.place)
         finally:
-            self._launching = False
-        if self._unwanted:
+            self._launching.clear()
+        if self._unwanted.is_set():
             job.signal()
         return job
 
@@ -189,9 +193,10 @@ class Jobs:
 
     def stop(self) -> None:
         """Stop what runs, softly; then look for the end of the torque as often as it takes to time it."""
-        self._unwanted = self._launching
         job = self.running
-        if job is None or self._launching:
+        if self._launching.is_set():
+            self._unwanted.set()
+        if job is None:
             return
         job.signal()
         if job.stops == 1 and job.line.moves:

@@ -65,13 +65,15 @@ def app(access: Access, jobs: Jobs) -> App:
         Route("/api/stop", studio.stop, methods=["POST"]),
         WebSocketRoute("/api/stream", studio.stream),
     ]
-    return Guard(Starlette(routes=routes, exception_handlers={WrongUse: _refused, Untrustworthy: _refused}), access)
+    return Guard(
+        Starlette(routes=routes, exception_handlers=dict.fromkeys((WrongUse, Untrustworthy, OSError), _refused)), access
+    )
 
 
 class _Studio:
     def __init__(self, access: Access, jobs: Jobs) -> None:
         self._access, self._jobs, self._folder = access, jobs, jobs.folder
-        self._starting = threading.Lock()
+        self._starting, self._reading = threading.Lock(), threading.Lock()
         self._predicting: subprocess.Popen[bytes] | None = None
 
     async def enter(self, request: Request) -> Response:
@@ -93,7 +95,8 @@ class _Studio:
         return JSONResponse(table | {"recordings": recordings, "count": count})
 
     def trace(self, request: Request) -> Response:
-        return Response(trace(self._named(request)), media_type="application/octet-stream")
+        with self._reading:  # a long one after the other: a stop must not wait for many
+            return Response(trace(self._named(request)), media_type="application/octet-stream")
 
     def report(self, request: Request) -> Response:
         policy = {"content-security-policy": _REPORT_POLICY}
@@ -152,7 +155,8 @@ class _Studio:
             group.cancel_scope.cancel()
 
     async def _write(self, socket: WebSocket) -> None:
-        job, sent, shown, due = None, 0, (), 0.0
+        job, sent, due = None, 0, 0.0
+        shown: tuple[object, ...] = ()
         while True:
             if job is not self._jobs.job:
                 job, sent = self._jobs.job, 0

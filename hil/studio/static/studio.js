@@ -136,7 +136,7 @@
   function connect() {
     link = new WebSocket(`ws://${location.host}/api/stream`);
     link.binaryType = "arraybuffer";
-    link.onopen = () => { if (lost) { lost = false; say(""); } };
+    link.onopen = () => { store = null; if (lost) { lost = false; say(""); } };
     link.onmessage = ({ data }) => { if (typeof data === "string") told(JSON.parse(data)); else { if (store) { store.add(Plots.unpacked(data)); dirty = true; } else { first_frame(data); } } };
     link.onclose = () => {
       if (moving() || lost) {
@@ -156,10 +156,13 @@
   }
 
   function told(state) {
-    if (!job || job.number !== state.number) { store = null; pressed = 0; if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); plots.torque.names = ["set-point", "torque"]; go("record"); } }
+    if (!job && state.status !== null) finished = state.number;  // it ended before this page was opened
+    else if (!job || job.number !== state.number) { store = null; pressed = 0; if (state.moves) showReport(""); if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); } }
     job = state;
     starting = false;
     showState();
+    if (job.number === finished && job.status !== null) return;
+    at("said").replaceChildren(...job.said.map((one) => make("li", one, { className: job.status && !job.stops ? "error" : "" })));
     if (job.kind === "record") showRun();
     if (job.kind === "readings") showReading();
     if (job.kind === "doctor") showChecks();
@@ -229,7 +232,6 @@
     const asks = job.kind === "doctor" && job.status === 2 && !job.answer && job.command.includes("--commission") && !job.command.includes("--yes");
     const words = job.said.filter((one) => !one.startsWith("nothing was driven") && !one.startsWith("hil: nothing was driven"));
     if (asks) { question(words.join("\n"), () => begin({ kind: "doctor", stand: chosenStand(), commission: true, yes: true })); at("said").replaceChildren(); return; }
-    at("said").replaceChildren(...job.said.map((one) => make("li", one, { className: bad ? "error" : "" })));
     if (job.kind === "record" && job.answer && job.answer.recording) {
       output = job.answer.recording;
       at("to-identify").hidden = false;
@@ -244,9 +246,10 @@
   function draw() {
     if (dirty && store) {
       dirty = false;
-      const rate = (job && job.live && job.live.planned) || 500, [time, command, torque, dtheta] = store.newest(Math.ceil(WINDOW * rate));
-      plots.torque.show([time, command, torque]);
-      plots.dtheta.show([time, dtheta]);
+      const { planned: rate, mode } = (job && job.live) || { planned: 500 }, [time, command, torque, dtheta] = store.newest(Math.ceil(WINDOW * rate));
+      const byTorque = mode !== "position";
+      plots.torque.show(byTorque ? [time, command, torque] : [time, torque], byTorque ? ["set-point", "torque"] : ["torque"]);
+      plots.dtheta.show(byTorque ? [time, dtheta] : [time, command, dtheta], byTorque ? ["deflection"] : ["set-point", "deflection"]);
       const few = Math.min(time.length, 4 * plots.loop.width), from = time.length - few;
       plots.loop.show([[dtheta.subarray(from), torque.subarray(from)]]);
     }
@@ -271,7 +274,7 @@
       const { time, command, torque, dtheta } = found.curves, isTorque = form.mode !== "position";
       const lines = [...(isTorque ? [["set-point", command]] : []), ...(torque ? [["predicted torque", torque]] : [])];
       if (lines.length) plots.torque.show([time, ...lines.map((one) => one[1])], lines.map((one) => one[0])); else plots.torque.clear();
-      if (dtheta || !isTorque) plots.dtheta.show([time, dtheta || command]); else plots.dtheta.clear();
+      if (dtheta || !isTorque) plots.dtheta.show([time, dtheta || command], [dtheta ? "predicted deflection" : "set-point"]); else plots.dtheta.clear();
       if (dtheta) plots.loop.show([[dtheta, torque]]); else plots.loop.clear();
     }, 300);
   }
@@ -285,8 +288,13 @@
     traced = String(names);
     at("from").value = at("to").value = "";
     if (!names.length) { plots.trace.clear(); plots.overlay.clear(); return; }
-    const found = await trying(() => Promise.all(names.map((name) => ask(`/api/trace?name=${encodeURIComponent(name)}`))));
-    if (!found) { traced = ""; refresh(); return; }
+    const found = [];
+    for (const name of names) {  // one after the other: a browser has few connections, and STOP needs one
+      const data = await ask(`/api/trace?name=${encodeURIComponent(name)}`).catch((error) => { say(error.message); return null; });
+      if (!data) { traced = ""; refresh(); return; }
+      found.push(data);
+    }
+    if (String(names) !== traced) return;
     const frames = found.map(Plots.unpacked).map(({ begin, channels }) => [Float64Array.from(channels[0], (one) => one + begin), channels[2], channels[3]]);
     plots.trace.show(joined(frames), names);
     plots.overlay.show(frames.map(([, torque, dtheta]) => [dtheta, torque]));
@@ -346,9 +354,9 @@
     const token = location.hash.slice(1);
     if (token) {
       history.replaceState(null, "", location.pathname);
-      await ask("/token", { token });
-    }
-    await refresh();
+      const refused = await ask("/token", { token }).then(() => null, (error) => error);
+      await refresh().catch((error) => { throw refused || error; });  // a browser that is in already needs no link
+    } else await refresh();
     go("stand");
     connect();
     requestAnimationFrame(draw);

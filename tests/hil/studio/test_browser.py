@@ -56,8 +56,7 @@ def studio(folder: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
         try:
             yield re.findall(r"http://\S+", process.stderr.readline())[0], process
         finally:
-            for _ in range(3):  # a run is stopped first
-                process.send_signal(signal.SIGINT)
+            process.terminate()  # which asks a run to stop
             process.wait(30)
 
 
@@ -94,12 +93,12 @@ def opened() -> Iterator[Opened]:
         def begin(link: str, width: int = 1200, **more: Any) -> Page:
             process = driver[0].chromium.launch(executable_path=browser, args=["--no-sandbox"])
             stack.callback(process.close)
-            page: Page = process.new_page(viewport={"width": width, "height": 900}, **more)
+            page: Page = process.new_context(viewport={"width": width, "height": 900}, **more).new_page()
             page.set_default_timeout(SOON)
             page.on("pageerror", lambda error: faults.append(str(error)))
             page.on("console", lambda one: faults.append(one.text) if "Content Security" in one.text else None)
             page.goto(link)
-            page.wait_for_selector("#stands input")
+            page.wait_for_selector("#stands input", state="attached")  # a run that goes on is shown instead
             return page
 
         yield begin
