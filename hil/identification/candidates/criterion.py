@@ -35,7 +35,7 @@ gain is rejected, the reason is another condition than the gain.
 PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
 """All terms: common ones before rare ones, and within each class in the order of the table."""
 
-_WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
+WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
 _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 
@@ -74,8 +74,8 @@ class Criterion:
         if larger.stiffness <= 0.0 < smaller.stiffness:  # no coupling pushes: the term stands in for it
             return False
         breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
-        least, enough = (_BETTER, STRONG) if breaks else (-_WORSE, 0.0)
-        if _predicts_better(larger, smaller) < (_WORSE if nearly else least):
+        least, enough = (_BETTER, STRONG) if breaks else (-WORSE, 0.0)
+        if predicts_better(larger, smaller) < (WORSE if nearly else least):
             return False
         gain, cost = self.weighed(smaller, larger, term)
         if nearly:
@@ -157,7 +157,7 @@ class Criterion:
         near = [one for one, value in zip(paying, found, strict=True) if value <= min(found) + STRONG]
         plainest, *others = sorted(near, key=lambda one: PLAINEST_FIRST.index(one.terms[-1]))
         for one in (one for one in others if one.terms[-1] not in RARER):
-            plainest = one if _predicts_better(one, plainest) >= _WORSE else plainest
+            plainest = one if predicts_better(one, plainest) >= WORSE else plainest
         return plainest
 
     def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
@@ -239,7 +239,7 @@ def _more_parameters(smaller: Candidate, larger: Candidate) -> int:
     return max(1, len(larger.model.parameters) - len(smaller.model.parameters))
 
 
-def _predicts_better(one: Candidate, other: Candidate) -> float:
+def predicts_better(one: Candidate, other: Candidate) -> float:
     """Return by how many standard errors model `one` predicts held-out blocks better than model `other`."""
     better = other.held_out - one.held_out
     mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)

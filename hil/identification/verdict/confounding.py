@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 
 from ga.model.sticking import is_hidden, looks_like_spring
 from hil.diagnostics import Diagnostic, again
+from hil.identification.candidates.criterion import WORSE, predicts_better
+from hil.identification.candidates.fits import Fits
+from hil.identification.candidates.late import EARLIER
 from hil.identification.verdict.evidence import Evidence
 from hil.uncertainty.criteria import (
     FRICTION,
@@ -207,7 +210,18 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
         "torque cell, a slow cell or an inertia. Bc is wrong then. "
         f"Try --model {evidence.model.name.replace('skew', 'lag')}, or compare the filters of the two sensors"
     )
-    return [Diagnostic("skew-implausible", text, "Bc")]
+    # the average over models includes the other causes; a named model does not
+    return [Diagnostic("skew-implausible", text, "Bc", is_error=not (evidence.selected or _is_distinct(evidence)))]
+
+
+def _is_distinct(evidence: Evidence) -> bool:
+    """Return whether the named model predicts held-out blocks clearly better than with another cause of its skew."""
+    signals, terms = evidence.signals, tuple(evidence.model.name.split("+"))
+    fits = Fits(signals.motion, signals.torque, signals.band[1], signals.window)
+    others = [tuple(cause if term == "skew" else term for term in terms) for cause in EARLIER if cause not in terms]
+    others = [one for one in others if fits.fitness(one) < np.inf]
+    own = fits.candidate(terms)
+    return all(predicts_better(own, fits.candidate(one)) > WORSE for one in others)
 
 
 def _filtered(evidence: Evidence) -> Diagnostic:

@@ -131,6 +131,21 @@ def test_a_skew_of_more_than_a_tick_is_said_to_be_none_of_a_recorder(make_record
         assert [one.code for one in found.diagnostics if one.code == "skew-implausible"] == expected
 
 
+@pytest.mark.parametrize(("delayed", "rows"), [(True, 4000), (False, 465)])
+def test_a_named_skew_that_no_recorder_has_is_an_error_where_another_cause_explains_the_torque_as_well(
+    make_recording: Maker, delayed: bool, rows: int
+) -> None:
+    def change(channels: dict[str, Array]) -> None:
+        sweep(channels, 5e-3 if delayed else 0.0, 1)
+        if not delayed:  # an inertia, which the model lacks, looks like an early reading
+            channels["torque"] += 2e-6 * np.gradient(channels["dtheta_dot"], channels["time"])
+
+    found = identify([make_recording(samples=rows, change=change)], parse("linear+offset+skew"), SEARCH)
+    said = [one for one in found.diagnostics if one.code == "skew-implausible"]
+    assert [one.is_error for one in said] == [not delayed]
+    assert delayed or abs(found["Bc"].value / BC - 1.0) > 0.1
+
+
 @pytest.mark.study
 def test_a_branch_that_relaxes_faster_than_the_joint_moves_does_not_make_the_damping_sure(
     make_recording: Maker,
