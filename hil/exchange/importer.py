@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,12 @@ from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.exchange.columns import Table, open_table
-from hil.exchange.command import MODES, check_command, held
+from hil.exchange.command import MODES, check_command, dimension_of_command, held
 from hil.exchange.headings import heading, listed
 from hil.exchange.mending import clock, signs
 from hil.exchange.row_filter import RowFilter
-from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, of_two, units_of, with_sums
-from hil.exchange.wanted.join import Join
+from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, units_of, with_sums
+from hil.exchange.wanted.join import Join, Part, joined, side
 from hil.recording.channels import CHANNELS
 from hil.recording.interval import rows_between
 from hil.recording.writer import Header, write
@@ -78,16 +79,17 @@ def import_table(
     as in `rows_between`. force: replace an existing recording. Raises WrongUse for a column without a known unit, for
     readings that the stand's limits make impossible, and for a wrong row.
     """
-    said: list[str] = []
+    said = ""
     asked = set() if join else {column.name for column in columns.values()} | {one.column for one in where}
     table = open_table(source, topic=topic, joint=joint, asked=asked)
     columns = _with_joint_state(table, columns)
     if columns:
         _check_channels(columns, stand)
-        table, columns = with_sums(table, columns) if join is None else of_two(table, join, columns, where, said)
-    names = {channel: column.name for channel, column in columns.items()} or _own(table)
-    dimensions = dimensions_of(_titles(table, columns), columns)
-    channels, rows, used, mended = _channels(table, columns, names, where if join is None else ())
+    if join is None or not columns:
+        channels, rows, used, mended = _channels(table, columns, where)
+    else:
+        (channels, rows, used, mended), said = _of_two(table, join, columns, where)
+    _refuse_unsigned(source, channels, columns, used)
     if between != (None, None):
         kept = rows_between(source, channels["time"], units.factor("time", used.get("time", "s")), *between)
         channels, rows = {name: values[kept] for name, values in channels.items()}, rows[kept]
@@ -97,7 +99,7 @@ def import_table(
         check_command(source, columns["command"].name, channels)
     swings = _swings(channels, used)
     diagnostics = _plausible(source, swings, stand)
-    mode = {"mode": MODES[dimensions["command"]]} if "command" in columns else {}
+    mode = {"mode": MODES[dimension_of_command("", used["command"])]} if "command" in columns else {}
     header = Header(
         profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)} | mode,
         stand_toml="" if stand is None else stand.text,
@@ -105,31 +107,59 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
-    return Imported(len(rows), duration, used, in_words(*swings), (*mended, *diagnostics), "; ".join(said))
+    return Imported(len(rows), duration, used, in_words(*swings), (*mended, *diagnostics), said)
 
 
-def _titles(table: Table, columns: Mapping[str, Column]) -> dict[str, str]:
-    return {channel: table.titles[table.place(column.name)] for channel, column in columns.items()}
+class _Read(NamedTuple):
+    """The channels of a table in SI, (n,) each, in the order of time; the numbers of their rows (n,); the units of the
+    columns; and what was mended.
+    """
+
+    channels: dict[str, Array]
+    rows: NDArray[np.int64]
+    used: dict[str, str]
+    mended: list[Diagnostic]
+
+
+def _of_two(first: Table, join: Join, columns: Mapping[str, Column], where: Sequence[RowFilter]) -> tuple[_Read, str]:
+    """Return the channels of two files at the times of the slower one, and what was done, in words."""
+    second = open_table(join.path)
+    sides = {channel: side(one.name, first, second) for channel, one in columns.items() if channel != "time"}
+    reads = []
+    for table in (first, second):
+        own = {channel: replace(columns[channel], name=name) for channel, (at, name) in sides.items() if at is table}
+        time = columns["time"].name if table is first or join.time is None else join.time
+        filters = [one for one in where if table.has(one.column) and (table is first or not first.has(one.column))]
+        reads.append(_channels(table, own | {"time": replace(columns["time"], name=time)}, filters, one_clock=True))
+    one, two = reads
+    files = Part(first.source, one.channels), Part(second.source, two.channels)
+    channels, said = joined(*files, shared=join.shared)
+    used = one.used | two.used | {"time": "s"}
+    return _Read(channels, np.arange(len(channels["time"])), used, [*one.mended, *two.mended]), said
 
 
 def _channels(
-    table: Table, columns: Mapping[str, Column], names: Mapping[str, str], where: Sequence[RowFilter]
-) -> tuple[dict[str, Array], NDArray[np.int64], dict[str, str], list[Diagnostic]]:
-    """Return the channels in SI in the order of time, the numbers of their rows, the units of the columns, and what was
-    mended. names: the column of each channel.
+    table: Table, columns: Mapping[str, Column], where: Sequence[RowFilter], *, one_clock: bool = False
+) -> _Read:
+    """Return the channels of a table. columns: {} for an export of hil. one_clock: whether a clock that was set is
+    refused.
     """
-    titles, source = _titles(table, columns), table.source
+    table, columns = with_sums(table, columns)
+    names = {channel: column.name for channel, column in columns.items()} or _own(table)
+    titles, source = {name: table.titles[table.place(one.name)] for name, one in columns.items()}, table.source
     dimensions, understood = dimensions_of(titles, columns), units_of(titles, columns)
     numbers, rows = _read(table, names, where)
     numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
     channels = dict(zip(names, numbers, strict=True))
     _check_readings(source, channels, columns)
     used = _all_stated(source, channels, columns, understood)
-    channels = _with_signs(source, channels, columns, used)
     for channel, unit in used.items():
-        channels[channel] = channels[channel] * (columns[channel].scale * units.factor(dimensions[channel], unit))
-    channels, rows, of_time = _timed(source, channels, rows, units.factor("time", used.get("time", "s")))
-    return channels, rows, used, [*map(_mended, table.lost), *repeated, *of_time]
+        column = columns[channel]
+        read = channels[channel] if column.code is None else signs.decoded(channels[channel], column.code)
+        channels[channel] = read * (column.scale * units.factor(dimensions[channel], unit))
+    unit = units.factor("time", used.get("time", "s"))
+    channels, rows, of_time = _timed(source, channels, rows, unit, one_clock=one_clock)
+    return _Read(channels, rows, used, [*map(_mended, table.lost), *repeated, *of_time])
 
 
 def _read(table: Table, names: Mapping[str, str], where: Sequence[RowFilter]) -> tuple[Array, NDArray[np.int64]]:
@@ -173,44 +203,35 @@ def _all_stated(
     return {channel: unit for channel, unit in stated.items() if unit is not None}
 
 
-def _with_signs(
+def _refuse_unsigned(
     source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], used: Mapping[str, str]
-) -> dict[str, Array]:
-    """Return the channels, those with a code decoded. Raises WrongUse, with the code, for numbers without their sign.
+) -> None:
+    """Raise WrongUse, with the code that decodes them, for numbers without their sign.
 
     An encoder that passes a whole turn needs no code: identification removes such jumps.
     """
-    found = dict(channels)
-    for name, column in columns.items():
-        if column.code is not None:
-            found[name] = signs.decoded(channels[name], column.code)
-    pair = [next((one for one in pair if one in columns), None) for pair in _PAIRS]
-    if None in pair:
-        return found
-    codes = signs.recognised(*(found[str(channel)] for channel in pair))
-    for channel, option, code in zip(pair, ("torque", "dtheta"), codes, strict=True):
-        column = columns[str(channel)]
-        if code == "none" or column.code is not None:
-            continue
-        turns = (
-            signs.size_of(code)
-            * abs(column.scale)
-            * units.factor(DIMENSION[str(channel)], used[str(channel)])
-            / math.tau
-        )
-        if option == "dtheta" and code.startswith("wrap") and math.isclose(turns, 1.0, rel_tol=_WHOLE):
+    pair = [next((one for one in pair if one in columns), "") for pair in _PAIRS]
+    if "" in pair:
+        return
+    factors = [columns[one].scale * units.factor(DIMENSION[one], used[one]) for one in pair]
+    raw = [channels[one] / factor for one, factor in zip(pair, factors, strict=True)]
+    for channel, option, values, factor, code in zip(
+        pair, ("torque", "dtheta"), raw, factors, signs.recognised(raw[0], raw[1]), strict=True
+    ):
+        turns = signs.size_of(code) * abs(factor) / math.tau if code.startswith("wrap") else 0.0
+        is_turn = option == "dtheta" and math.isclose(turns, 1.0, rel_tol=_WHOLE)
+        if code == "none" or is_turn or columns[channel].code is not None:
             continue
         raise WrongUse(
-            f"{source}: the numbers of {column.name!r} lack their sign. They are {_raw_range(channels[str(channel)])}, "
+            f"{source}: the numbers of {columns[channel].name!r} lack their sign. They are {_raw_range(values)}, "
             f"and jump where the {'torque' if option == 'torque' else 'angle'} passes zero, as those of a register do "
             "that was read without a sign, so that neither Kc nor Bc can come from them. Decode them with "
             f"--{option}-code {code}"
         )
-    return found
 
 
 def _check_readings(source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column]) -> None:
-    """Raise WrongUse if a named column contains no number: its cells are empty, or all its rows were filtered out."""
+    """Raise WrongUse if a named column contains no number."""
     for channel, column in columns.items():
         if not np.isfinite(channels[channel]).any():
             raise WrongUse(f"{source}: column {column.name!r} holds no number: name another, or check --where")
@@ -295,11 +316,12 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
 
 
 def _timed(
-    source: Path, channels: Mapping[str, Array], rows: NDArray[np.int64], unit: float
+    source: Path, channels: Mapping[str, Array], rows: NDArray[np.int64], unit: float, *, one_clock: bool
 ) -> tuple[dict[str, Array], NDArray[np.int64], list[Diagnostic]]:
     """Return the channels and the numbers of their rows in the order of time, with diagnostics of what was mended.
 
-    unit: of the time, s. Raises WrongUse for times that are missing in many rows, or that go back again and again.
+    unit: of the time, s. one_clock: whether times may not go back. Raises WrongUse for times that are missing in many
+    rows, or that go back again and again.
     """
     known, found = np.isfinite(channels["time"]), list[Diagnostic]()
     bad = np.flatnonzero(~known)
@@ -322,6 +344,8 @@ def _timed(
             _mended(f"rows are out of order, in {moved} places of {len(order)}; they are sorted by their times")
         )
     time, pieces = clock.continued(source, time[order], rows[known][order])
+    if pieces and one_clock:
+        raise WrongUse(f"{source}: {pieces}. No second file can be joined to such times: choose one part with --where")
     if pieces:
         found.append(_mended(pieces))
     if not found:

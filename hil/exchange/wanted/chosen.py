@@ -1,20 +1,18 @@
-"""The columns that a user names for the channels: their units, sums of columns, and in which of two files they are."""
+"""The columns that a user names for the channels: their units, and sums of columns."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hil import units
 from hil.errors import WrongUse
-from hil.exchange.columns import Table, open_table
+from hil.exchange.columns import Table
 from hil.exchange.command import dimension_of_command
 from hil.exchange.headings import bracketed_text, unit_of
-from hil.exchange.row_filter import RowFilter
 from hil.exchange.wanted.expression import Term, terms
-from hil.exchange.wanted.join import Join, Part, joined, side
 
 DIMENSION: Mapping[str, str] = MappingProxyType(
     {
@@ -44,41 +42,6 @@ class Column:
     unit: str | None = None
     scale: float = 1.0
     code: str | None = None
-
-
-def of_two(
-    first: Table, join: Join, columns: Mapping[str, Column], where: Sequence[RowFilter], said: list[str]
-) -> tuple[Table, Mapping[str, Column]]:
-    """Return the table that joins both files, and the columns in it. `said` gets what was done, in words."""
-    second = open_table(join.path)
-    named = {channel: column.name for channel, column in columns.items() if channel != "time"}
-    sides = {channel: side(name, first, second, _has) for channel, name in named.items()}
-    sides["time"] = first, columns["time"].name
-    parts, found = [], {"time": replace(columns["time"], name="time of both files", unit="s")}
-    for table in (first, second):
-        sided = {channel: replace(columns[channel], name=name) for channel, (at, name) in sides.items() if at is table}
-        sided |= {"time": replace(columns["time"], name=join.time or columns["time"].name)} if table is second else {}
-        whole, own = with_sums(table, sided)
-        titles = {channel: whole.titles[whole.place(column.name)] for channel, column in own.items()}
-        used = units_of(titles, own)
-        if (clock := used.pop("time")) is None:
-            raise WrongUse(f"{table.source} does not say the unit of {own['time'].name!r}: {give('time')}")
-        filters = [one for one in where if table.has(one.column) and (table is first or not first.has(one.column))]
-        names = {channel: column.name for channel, column in own.items()}
-        parts.append(Part(whole, units.factor("time", clock), names, filters))
-        found |= {
-            channel: replace(own[channel], name=f"{names[channel]} of {table.source.name}", unit=unit)
-            for channel, unit in used.items()
-        }
-    names = {channel: column.name for channel, column in found.items()}
-    return joined(parts[0], parts[1], names, shared=join.shared, said=said), found
-
-
-def _has(table: Table, name: str) -> bool:
-    try:
-        return bool(terms(name, table.place, table.has))
-    except WrongUse:
-        return False
 
 
 def with_sums(table: Table, columns: Mapping[str, Column]) -> tuple[Table, Mapping[str, Column]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -12,12 +11,11 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.exchange.columns import Table
-from hil.exchange.row_filter import RowFilter
 from hil.exchange.wanted.clocks import Shift, shift_of
+from hil.exchange.wanted.expression import terms
 from hil.uncertainty.criteria import TICK_SHARE
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 _GAP: Final = 3.5  # times between two readings, in which one or two may be missing
 _EXPLAINED: Final = 0.3  # of the torque's power, which no deflection of another run explains
@@ -38,34 +36,27 @@ class Join:
 
 
 class Part(NamedTuple):
-    """One of the files: its table, the factor from its times to s, for each channel that it has the column, and the
-    filters of its rows.
-    """
+    """One of the files: each of its channels, in SI, and their times, in order, (n,)."""
 
-    table: Table
-    seconds: float
-    columns: Mapping[str, str]
-    filters: Sequence[RowFilter]
+    source: Path
+    channels: dict[str, Array]
 
-
-class _Read(NamedTuple):
-    """What was read of a file: times (n,), s, in order; each channel (n,); line numbers (n,)."""
-
-    time: Array
-    channels: Mapping[str, Array]
-    lines: Rows
+    @property
+    def time(self) -> Array:
+        """Return the times (n,), s."""
+        return self.channels["time"]
 
 
-def side(name: str, first: Table, second: Table, has: Callable[[Table, str], bool]) -> tuple[Table, str]:
-    """Return the table that has a column, and the column's name in it; `FILE:NAME` says which.
+def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
+    """Return the table that has a column, or every column of a sum, and its name in it; `FILE:NAME` says which.
 
-    has: whether a table has a column, or every column of a sum. Raises WrongUse for a column that both have, or none.
+    Raises WrongUse for a column that both have; one that none has is looked for in the first.
     """
     for table in (first, second):
         own = name.removeprefix(f"{table.source.name}:")
         if own != name:
             return table, own
-    found = [table for table in (first, second) if has(table, name)]
+    found = [table for table in (first, second) if _has(table, name)]
     if len(found) == 2:
         raise WrongUse(
             f"{first.source} and {second.source} both have {name!r}: write {second.source.name}:{name}, or "
@@ -74,53 +65,50 @@ def side(name: str, first: Table, second: Table, has: Callable[[Table, str], boo
     return (found or [first])[0], name
 
 
-def joined(first: Part, second: Part, titles: Mapping[str, str], *, shared: bool, said: list[str]) -> Table:
-    """Return the table with the times of the slower file, s, and each channel under its title; `said` gets a sentence.
+def _has(table: Table, name: str) -> bool:
+    try:
+        return bool(terms(name, table.place, table.has))
+    except WrongUse:
+        return False
+
+
+def joined(one: Part, two: Part, *, shared: bool) -> tuple[dict[str, Array], str]:
+    """Return the channels of both files, (n,) each, at times of the slower file, and what was done, in words.
 
     The readings of the faster file are interpolated, those of a command are held. Rows beside a gap of the faster file
     have no reading. Raises WrongUse if the files have no common time, or the clocks' difference cannot be found.
     """
-    names = list(titles)
-
-    def read(wanted: Sequence[int], _filters: Sequence[tuple[int, RowFilter]]) -> tuple[Array, Rows]:
-        one, two = _read(first), _read(second)
-        if not shared:
-            change, sentence = _change(first, second, one, two)
-            said.append(sentence)
-            two = two._replace(time=two.time + change)
-        slow, fast = (one, two) if np.median(np.diff(one.time)) >= np.median(np.diff(two.time)) else (two, one)
-        inside = (slow.time >= fast.time[0]) & (slow.time <= fast.time[-1])
-        if not inside.any():
-            raise WrongUse(
-                f"{first.table.source} is from {one.time[0]:.9g} to {one.time[-1]:.9g} s, {second.table.source} from "
-                f"{two.time[0]:.9g} to {two.time[-1]:.9g} s, so they have no common time: name files of one run, or "
-                "leave --shared-clock out if their clocks differ"
-            )
-        channels = {"time": slow.time[inside]} | {name: values[inside] for name, values in slow.channels.items()}
-        channels |= {name: _at(slow.time[inside], fast, name) for name in fast.channels}
-        return np.stack([channels[names[at]] for at in wanted]), slow.lines[inside]
-
-    return Table(first.table.source, list(titles.values()), read)
+    one, two = _rising(one), _rising(two)
+    said = ""
+    if not shared:
+        change, said = _change(one, two)
+        two = Part(two.source, two.channels | {"time": two.time + change})
+    slow, fast = (one, two) if np.median(np.diff(one.time)) >= np.median(np.diff(two.time)) else (two, one)
+    inside = (slow.time >= fast.time[0]) & (slow.time <= fast.time[-1])
+    if not inside.any():
+        raise WrongUse(
+            f"{one.source} is from {one.time[0]:.9g} to {one.time[-1]:.9g} s, {two.source} from {two.time[0]:.9g} to "
+            f"{two.time[-1]:.9g} s, so they have no common time: name files of one run, or leave --shared-clock out if "
+            "their clocks differ"
+        )
+    channels = {name: _at(slow.time[inside], fast, name) for name in fast.channels}
+    return channels | {name: values[inside] for name, values in slow.channels.items()}, said
 
 
-def _read(part: Part) -> _Read:
-    numbers, lines = part.table.read(list(part.columns.values()), part.filters)
-    channels = dict(zip(part.columns, numbers, strict=True))
-    time = channels.pop("time") * part.seconds
-    order = np.argsort(time, kind="stable")
-    order = order[np.isfinite(time[order])]
-    order = order[np.append(True, np.diff(time[order]) > 0.0)]
-    if len(order) < 2:
-        raise WrongUse(f"{part.table.source} has fewer than two rows with a time: name the column of its time")
-    return _Read(time[order], {name: values[order] for name, values in channels.items()}, lines[order])
+def _rising(part: Part) -> Part:
+    """Return the rows of a file whose time is later than that of the row before."""
+    kept = np.append(True, np.diff(part.time) > 0.0)
+    if np.count_nonzero(kept) < 2:
+        raise WrongUse(f"{part.source} has fewer than two rows with a time: name the column of its time")
+    return Part(part.source, {name: values[kept] for name, values in part.channels.items()})
 
 
-def _change(first: Part, second: Part, one: _Read, two: _Read) -> tuple[float, str]:
+def _change(one: Part, two: Part) -> tuple[float, str]:
     """Return what to add to the second file's times, s, and a sentence. Raises WrongUse if that cannot be found."""
     angles, loads, sign = (one, two, 1.0) if {*_ANGLES} & {*one.channels} else (two, one, -1.0)
     torque = next((name for name in _TORQUES if name in loads.channels), None)
     angle = next((name for name in _ANGLES if name in angles.channels), None)
-    both = f"the clocks of {first.table.source} and {second.table.source}"
+    both = f"the clocks of {one.source} and {two.source}"
     how = "record both with one clock, and give --shared-clock"
     if torque is None or angle is None:
         raise WrongUse(f"{both} can be compared only by the torque of one and the deflection of the other: {how}")
@@ -143,7 +131,7 @@ def _change(first: Part, second: Part, one: _Read, two: _Read) -> tuple[float, s
         raise WrongUse(f"{both} run apart by {1e3 * abs(shift.drift):.2g} ms in each second, so no shift fits: {how}")
     change = sign * shift.seconds
     return change, (
-        f"the times of {second.table.source.name} are shifted by {change:.6f} s (within {2e3 * shift.error:.2g} ms) so "
+        f"the times of {two.source.name} are shifted by {change:.6f} s (within {2e3 * shift.error:.2g} ms) so "
         "that the torque fits the deflection"
     )
 
@@ -155,12 +143,12 @@ def _shift(angle: tuple[Array, Array], load: tuple[Array, Array]) -> Shift:
         return Shift(0.0, np.inf, 0.0, np.inf, 0.0)
 
 
-def _good(part: _Read, name: str) -> tuple[Array, Array]:
+def _good(part: Part, name: str) -> tuple[Array, Array]:
     good = np.isfinite(part.channels[name])
     return part.time[good], part.channels[name][good]
 
 
-def _at(time: Array, part: _Read, name: str) -> Array:
+def _at(time: Array, part: Part, name: str) -> Array:
     """Return a channel of the faster file at other times (k,), NaN inside its gaps; of a command the last one."""
     from scipy.interpolate import CubicSpline
 

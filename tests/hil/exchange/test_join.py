@@ -136,3 +136,12 @@ def test_rows_are_chosen_by_the_times_of_the_file(
         WrongUse, match=r"no row is between --from and --to, because its times are from (57|2024-05-01 23)"
     ):
         import_table(tmp_path / "a.csv", tmp_path / "b.h5", columns, [], between=("99", "100"))
+
+
+def test_a_file_whose_clock_was_set_is_not_joined(tmp_path: Path) -> None:
+    logged(tmp_path)
+    rows = np.loadtxt(tmp_path / "cell.csv", delimiter=",", skiprows=1)
+    rows[1500:, 0] -= 900.0
+    np.savetxt(tmp_path / "cell.csv", rows, "%.14g", ",", header="t [ms],tau [mN*m]", comments="")
+    with pytest.raises(WrongUse, match=r"cell\.csv: .*the clock was set.* No second file can be joined"):
+        joined(tmp_path, PLAIN, Join(tmp_path / "cell.csv", shared=True))
