@@ -1,11 +1,12 @@
 """Kill, stop or crash `hil record` at random instants and read from the drive's side when its torque ended.
 
 python benchmarks/killing.py --times 20 [--adapter dynamixel ...] [--signal KILL|STOP|SEGV ...] [--no-guardian]
-                             [--start plain stdin stdout,stderr process-1 ...] [--python] [--patient]
+                             [--start plain stdin stdout,stderr process-1 two ...] [--python] [--patient]
 
 Each trial is a run against an emulated drive that answers from a process of its own, over a pty (serial port, or a
 serial CAN adapter) or over udp_multicast. --start: which of its standard files are closed when the recorder starts, or
-that it starts as process 1 of a container (root only); --python: it calls `hil.record`. The times are those of the
+that it starts as process 1 of a container (root only), or "two": a second recorder on the same drive is refused
+before the first gets the signal; --python: it calls `hil.record`. The times are those of the
 drive's torque log (`hil emulate --log`), on the clock of whoever sends the signal. A stopped recorder is continued
 afterwards: no torque may come back. A run that ends by itself before its signal, as where this computer is too busy for
 it, is started again; with --patient late ticks end no run, and the torque-off is awaited for a minute. Prints a table
@@ -209,7 +210,7 @@ def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
 
 def started_by(start: str) -> list[str]:
     """Return the words that start the words behind them: "plain", as process 1, or with standard files closed."""
-    if start == "plain":
+    if start in {"plain", "two"}:
         return []
     if start == "process-1":
         return ["unshare", "--pid", "--fork", "--mount-proc"]
@@ -244,9 +245,12 @@ def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argpa
     """Start a run, send it a signal `wait` s after its torque has begun, and look at the drive."""
     log, threshold = Log(output.parent / "torque.csv"), 0.25 * adapter.torque
     begun = time.monotonic()
-    process = recorded(adapter, output.parent / "stand.toml", output, how.start, settings)
+    stand = output.parent / "stand.toml"
+    process = recorded(adapter, stand, output, how.start, settings)
     try:
         await_torque(log, process, begun, threshold)
+        if how.start == "two":
+            refused(recorded(adapter, stand, output.with_suffix(".second.h5"), "plain", settings), process)
         time.sleep(wait)
         if process.poll() is not None:
             raise EndedBefore
@@ -266,6 +270,20 @@ def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argpa
     finally:
         process.kill()
         process.wait()
+
+
+def refused(second: subprocess.Popen[bytes], first: subprocess.Popen[bytes]) -> None:
+    """Wait until the second recorder has ended. Raises EndedBefore where the first ends before that."""
+    try:
+        while second.poll() is None:
+            if first.poll() is not None:
+                raise EndedBefore
+            time.sleep(0.02)
+        if not second.returncode:
+            raise RuntimeError("the second recorder was not refused")
+    finally:
+        second.kill()
+        second.wait()
 
 
 def await_torque(log: Log, process: subprocess.Popen[bytes], begun: float, torque: float) -> None:

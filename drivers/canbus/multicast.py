@@ -7,6 +7,9 @@ compared with the sent ones.
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
 import time
 from typing import TYPE_CHECKING
 
@@ -17,6 +20,8 @@ if TYPE_CHECKING:
 
 PORT = 43113
 """The UDP port of the multicast group, which is python-can's default."""
+_OWN_GROUP = ((socket.IPPROTO_IP, 49), (socket.IPPROTO_IPV6, 29))
+"""IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, linux/in.h and linux/in6.h."""
 _LIFETIME = 1.0
 """s after which a sent frame that did not come back is forgotten."""
 
@@ -54,6 +59,10 @@ class MulticastBus(UdpMulticastBus):
     def __init__(self, channel: str) -> None:
         self._own = OwnFrames()
         super().__init__(channel, port=PORT, hop_limit=0, fd=True)  # a hop limit of 1, the default, leaves this machine
+        if sys.platform == "linux":  # whose sockets receive every group that any program of this computer has joined
+            level, option = _OWN_GROUP[":" in channel]
+            with socket.socket(fileno=os.dup(self.fileno())) as same:
+                same.setsockopt(level, option, 0)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame. Raises can.CanError."""

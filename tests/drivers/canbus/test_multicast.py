@@ -50,6 +50,19 @@ def test_a_motor_whose_replies_have_the_identifier_of_its_commands_does_not_obey
             assert motor.motor.demand == 0.0
 
 
+def test_a_bus_does_not_hear_other_groups(client: can.BusABC) -> None:
+    octets = GROUP.split(".")
+    other = ".".join([octets[0], "75", *octets[2:]])
+    ours = [open_interface(BusConfig("udp_multicast", group, 1_000_000)) for group in (GROUP, other)]
+    try:
+        client.send(ENABLE)
+        assert receives(ours[0], 1)
+        assert receives(ours[1], 0)
+    finally:
+        for bus in ours:
+            bus.shutdown()
+
+
 def test_an_adapter_of_ours_does_not_take_its_command_for_the_reply(client: can.BusABC) -> None:
     ours = open_interface(BusConfig("udp_multicast", GROUP, 1_000_000))
     try:
