@@ -222,6 +222,14 @@ def to_counts(value: float, lsb: float) -> int:
     return round(counts)
 
 
+def below_one_count(torque: float, lsb: float, model: str) -> DriverError:
+    """Return the error for a torque limit, N m, smaller than the `lsb` N m of one count of a motor."""
+    return DriverError(
+        f"torque limit {torque:.3g} N m is below one count of the {model}, {lsb:.3g} N m: raise it or take a smaller "
+        "motor"
+    )
+
+
 def watchdog_problem(table: str, watchdog: float, reply_timeout: float) -> str:
     """Return why a watchdog of `watchdog` s (0: none) is too short for a reply that takes `reply_timeout` s; "" if it
     is not.

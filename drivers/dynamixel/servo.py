@@ -17,7 +17,7 @@ from drivers.dynamixel.models import POSITION_LSB, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.x import XSeries
-from drivers.gate import Admitted, Gate, to_counts
+from drivers.gate import Admitted, Gate, below_one_count, to_counts
 from drivers.off_path import OffPath
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
@@ -173,10 +173,7 @@ class DynamixelServo:
             return 0
         counts = self._series.ceiling(limits.torque)
         if counts < 1:
-            raise DriverError(
-                f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, "
-                f"{self._torque_lsb:.3g} N m: raise it or use a smaller servo"
-            )
+            raise below_one_count(limits.torque, self._torque_lsb, self._model.name)
         return counts
 
     def _enable(self, ceiling: int) -> None:

@@ -17,7 +17,7 @@ from drivers.feetech.config import FeetechConfig
 from drivers.feetech.faults import ALERTS, reported, restarted
 from drivers.feetech.identity import identify
 from drivers.feetech.models import CURRENT_LSB, FeetechModel, models, registers
-from drivers.gate import Admitted, Gate, to_counts
+from drivers.gate import Admitted, Gate, below_one_count, to_counts
 from drivers.off_path import OffPath
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
@@ -191,10 +191,7 @@ class FeetechServo:
         lsb = self._torque_lsb if self._model.has_torque_mode else self._model.stall / 1000.0
         counts = min(math.floor(limits.torque / lsb + 1e-9), _HIGHEST_CURRENT if self._model.has_torque_mode else 1000)
         if counts < 1:
-            raise DriverError(
-                f"torque limit {limits.torque:.3g} N m is below one count of the {self._model.name}, {lsb:.3g} N m: "
-                "raise it or use a smaller servo"
-            )
+            raise below_one_count(limits.torque, lsb, self._model.name)
         return counts
 
     def _prepare(self, limits: Limits, ceiling: int) -> None:

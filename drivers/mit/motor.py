@@ -136,10 +136,6 @@ class MitMotor:
         exact = float(registers()[name].layout.unpack(self._encoded(name, value))[0])
         self.settings.require(name, exact)
 
-    def restore(self) -> None:
-        """Restore the registers that `require` changed. A register that the motor refuses to restore is skipped."""
-        self.settings.restore()
-
     def _put(self, name: str, value: float) -> None:
         self._ask_register(self._written(name, value), registers()[name].number)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate
+from drivers.gate import Gate, below_one_count
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, MitState, fault, models
 from drivers.mit.motor import MitMotor
@@ -67,10 +67,7 @@ class MitServo:
         torque is off then.
         """
         if limits.torque < self.info.torque_lsb:
-            raise DriverError(
-                f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
-                f"{self.info.torque_lsb:.3g} N m: raise it or take a smaller motor"
-            )
+            raise below_one_count(limits.torque, self.info.torque_lsb, self._config.model)
         with self._gate.arming(limits):
             self._check_error(self._motor.leave())
             if self._motor.damiao:
@@ -115,7 +112,7 @@ class MitServo:
 
     def close(self) -> None:
         """Switch the torque off, restore the registers, and close the bus. Never raises; see `Gate.close`."""
-        self._gate.close(self._motor.restore)
+        self._gate.close(self._motor.settings.restore)
 
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`. An AK has no request for its state, so the first read switches the motor off."""

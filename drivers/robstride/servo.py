@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate
+from drivers.gate import Gate, below_one_count
 from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.frames import RESTARTED, RUNNING, STOPPED, WATCHDOG, RobstrideState, fault, models
 from drivers.robstride.motor import RobstrideMotor
@@ -62,10 +62,7 @@ class RobstrideServo:
         refused or the torque limit is below one count; the torque is off then.
         """
         if limits.torque < self.info.torque_lsb:
-            raise DriverError(
-                f"torque limit {limits.torque:.3g} N m is below one count of the {self._config.model}, "
-                f"{self.info.torque_lsb:.3g} N m: raise it or take a smaller motor"
-            )
+            raise below_one_count(limits.torque, self.info.torque_lsb, self._config.model)
         with self._gate.arming(limits):
             motor, settings = self._motor, self._motor.settings
             motor.forget()
