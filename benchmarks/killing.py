@@ -5,13 +5,14 @@ python benchmarks/killing.py --times 20 [--adapter dynamixel ...] [--signal KILL
 
 Each trial is a run against an emulated drive that answers from a process of its own, over a pty (serial port, or a
 serial CAN adapter) or over udp_multicast. --start: which of its standard files are closed when the recorder starts, or
-that it starts as process 1 of a container (root only), or "two": a second recorder on the same drive is refused
-before the first gets the signal; --python: it calls `hil.record`. The times are those of the
-drive's torque log (`hil emulate --log`), on the clock of whoever sends the signal. A stopped recorder is continued
-afterwards: no torque may come back. A run that ends by itself before its signal, as where this computer is too busy for
-it, is started again; with --patient late ticks end no run, and the torque-off is awaited for a minute. Prints a table
-for each drive, with and without its watchdog; ends with status 1 where less than 95 % are off within 50 ms, one is not
-within 150 ms, or torque came back. What a kill costs in rows is measured by benchmarks/row_loss.py.
+that it starts as process 1 of a container (root only; "container": process 1 itself gets the signal, and only the
+drive's watchdog is left), or "two": a second recorder on the same drive is refused before the first gets the signal;
+--python: it calls `hil.record`. The times are those of the drive's torque log (`hil emulate --log`), on the clock of
+whoever sends the signal. A stopped recorder is continued afterwards: no torque may come back. A run that ends by itself
+before its signal, as where this computer is too busy for it, is started again; with --patient late ticks end no run,
+and the torque-off is awaited for a minute. Prints a table for each drive, with and without its watchdog; ends with
+status 1 where less than 95 % are off within 50 ms, one is not within 150 ms, or torque came back. What a kill costs in
+rows is measured by benchmarks/row_loss.py.
 """
 
 from __future__ import annotations
@@ -212,15 +213,15 @@ def started_by(start: str) -> list[str]:
     """Return the words that start the words behind them: "plain", as process 1, or with standard files closed."""
     if start in {"plain", "two"}:
         return []
-    if start == "process-1":
+    if start in {"process-1", "container"}:
         return ["unshare", "--pid", "--fork", "--mount-proc"]
     closed = " ".join(f"{STANDARD.index(name)}>&-" for name in start.split(","))
     return ["sh", "-c", f'exec "$0" "$@" {closed}']
 
 
-def recorder_of(process: int) -> int:
-    """Return the process that records, where `process` has started it behind a process 1 of its own."""
-    for _ in range(2):
+def process_of(start: str, process: int) -> int:
+    """Return the process that gets the signal: the one that records, or process 1 of its container."""
+    for _ in range({"process-1": 2, "container": 1}.get(start, 0)):
         process = int(Path(f"/proc/{process}/task/{process}/children").read_text().split()[0])
     return process
 
@@ -234,7 +235,8 @@ def recorded(
     words = [sys.executable, "-c", program, "record", "--stand", str(stand), "-o", str(output), "--duration", "60"]
     words += ["--rate", str(settings.rate), *sine, *(["--no-guardian"] if settings.no_guardian else [])]
     with output.with_suffix(".log").open("wb") as errors:
-        return subprocess.Popen([*started_by(start), *words], stdout=subprocess.DEVNULL, stderr=errors)
+        nothing = subprocess.DEVNULL  # in a terminal `hil record` would ask
+        return subprocess.Popen([*started_by(start), *words], stdin=nothing, stdout=nothing, stderr=errors)
 
 
 class EndedBefore(Exception):
@@ -254,7 +256,7 @@ def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argpa
         time.sleep(wait)
         if process.poll() is not None:
             raise EndedBefore
-        recorder = recorder_of(process.pid) if how.start == "process-1" else process.pid
+        recorder = process_of(how.start, process.pid)
         os.kill(recorder, getattr(signal, f"SIG{how.signal}"))
         sent = time.monotonic()
         while settings.patient and math.isinf(log.ended(sent)[0]) and time.monotonic() < sent + PATIENCE:

@@ -54,7 +54,7 @@ def recorded(path: Path, seconds: float, rate: float) -> tuple[int, list[int]]:
     words = ["record", "--stand", str(stand), "--profile", "sine", "--band", "2", "--rate", str(rate)]
     words += ["--duration", str(seconds), "-o", str(path)]
     memory = [1]
-    with subprocess.Popen([sys.executable, "-c", RUN, *words]) as process:
+    with subprocess.Popen([sys.executable, "-c", RUN, *words], stdin=subprocess.DEVNULL) as process:
         while process.poll() is None:
             time.sleep(0.1)
             if path.with_name(path.name + ".part").exists() and not list(path.parent.glob(".hil-*")):
