@@ -166,7 +166,7 @@ class LinkedNetwork(Network):
             if not part:
                 return data
             data += part
-        self.node.sdo.abort(_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]  # as above
+        self.node.sdo.abort(_OUT_OF_MEMORY)
         raise BadReply(
             f"CANopen node {self.node.id} sends object {place} without an end, {len(data)} bytes so far: update the "
             "drive's firmware, or look for a second program that uses its SDO"

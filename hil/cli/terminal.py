@@ -162,7 +162,7 @@ def asking(*, yes: bool) -> Callable[[str], object] | None:
 def ask_to_go_on(announcement: str) -> None:
     """Print what will happen, and wait for a yes. Raises Declined for any other answer, also if the input has ended."""
     stream = sys.stdout if _is_terminal(sys.stdout) and not _is_terminal(sys.stderr) else sys.stderr
-    _written(f"{announcement}\nGo on? [y/N]", stream)
+    _written(announcement + ("\nGo on? [y/N]" if _is_terminal(sys.stdin) else ""), stream)
     answer = "" if sys.stdin is None else sys.stdin.readline()
     if answer.strip().lower() not in {"y", "yes"}:
         raise Declined("nothing was driven: answer y, or add --yes in a script")
