@@ -116,6 +116,7 @@ COULOMB: Final = Term(
     columns=_sign,
     rates=_still,
     sticks=True,
+    equation="Fc*sign(v)",
 )
 
 
@@ -148,6 +149,7 @@ STRIBECK: Final = Term(
     bounds=stribeck_bounds,
     needs="coulomb",
     selection="misfit",
+    equation="Fs*exp(-(v/vst)^2)*sign(v)",
 )
 
 SMOOTH: Final = Term(
@@ -159,6 +161,7 @@ SMOOTH: Final = Term(
     needs="coulomb",
     or_needs=("capstan", "pulley"),
     selection="misfit",
+    equation="sign(v) is tanh(v/vr)",
 )
 
 CAPSTAN: Final = Term(
@@ -195,6 +198,7 @@ CAPSTAN: Final = Term(
     reason="where a gap is open, the tendon carries no torque that could make friction",
     sticks=True,
     selection="misfit",
+    equation="x counts from rest; springs and dampers are multiplied by 1 + mu*sign(v)*sign(tau)",
 )
 
 PULLEY: Final = Term(
@@ -210,6 +214,7 @@ PULLEY: Final = Term(
     reason="capstan is the same with a damper in the tendon, and where a gap is open nothing rubs",
     sticks=True,
     selection="misfit",
+    equation="x counts from rest; springs are multiplied by 1 + mu*sign(v)*sign(x)",
 )
 
 QUADRATIC: Final = Term(
@@ -220,6 +225,7 @@ QUADRATIC: Final = Term(
     rates=_squaring,
     carried=True,
     selection="misfit",
+    equation="B2*v*|v|",
 )
 
 INERTIA: Final = Term(
@@ -230,4 +236,5 @@ INERTIA: Final = Term(
     rates=lambda _r, c: (c.dtheta_ddot,),
     selection="motor torque",  # elsewhere it differs too little from skew
     bends=False,
+    equation="J*dv/dt",
 )

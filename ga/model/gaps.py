@@ -116,6 +116,7 @@ BACKLASH: Final = Term(
     excludes=_others("backlash"),
     reason=_ONE_GAP,
     breaks=True,
+    equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them tau is 0",
 )
 
 DEADBAND: Final = Term(
@@ -130,6 +131,7 @@ DEADBAND: Final = Term(
     reason=_ONE_GAP,
     breaks=True,
     selection="misfit",
+    equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them x is 0",
 )
 
 SLACK: Final = Term(
@@ -157,4 +159,5 @@ SLACK: Final = Term(
     excludes=_others("slack"),
     reason=_ONE_GAP,
     breaks=True,
+    equation="x counts from slack; below it tau is 0",
 )

@@ -112,6 +112,7 @@ DAHL: Final = Term(
     excludes=("coulomb",),
     reason="coulomb is dahl without the build-up",
     selection="misfit",
+    equation="Fd*z, dz/dt = (v - |v|*z)/reach",
 )
 
 LUGRE: Final = Term(
@@ -140,6 +141,7 @@ LUGRE: Final = Term(
     excludes=("coulomb", "dahl"),
     reason="coulomb and dahl are lugre without its fall or its build-up",
     selection="misfit",
+    equation="Fd*z, dz/dt = (v - |v|*z/(1 + rise*exp(-(v/vst)^2)))/reach",
 )
 
 BOUC_WEN: Final = Term(
@@ -163,6 +165,7 @@ BOUC_WEN: Final = Term(
     excludes=("coulomb", "dahl", "lugre"),
     reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
     selection="misfit",
+    equation="Fy*z, dz/dt = v*(1 - |z| where z and v have one sign)/yield",
 )
 
 SHEATH: Final = Term(
@@ -177,6 +180,7 @@ SHEATH: Final = Term(
     excludes=(*CAPSTAN.excludes, "deadband", "capstan", "pulley", "dahl", "lugre", "boucwen"),
     reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
     selection="misfit",
+    equation="x counts from rest; springs and dampers are multiplied by 1 + mu*z*sign(tau), dz/dt = (v - |v|*z)/reach",
 )
 
 GEAR: Final = Term(
@@ -192,4 +196,5 @@ GEAR: Final = Term(
     excludes=("coulomb", "dahl", "lugre", "boucwen", "capstan", "pulley", "sheath"),
     reason="coulomb, dahl, capstan and sheath are parts of gear, and lugre and boucwen are other laws of it",
     selection="misfit",
+    equation="Fd*z, dz/dt = (v - |v|*z)/reach; springs and dampers are multiplied by 1 + mu*z*sign(tau)",
 )

@@ -107,6 +107,8 @@ class Term:
     """One term of the coupling: a record in `ga.model.terms.TERMS`.
 
     meaning: text for the help.
+    equation: the torque that the term adds, in the deflection x, its rate v and the time t; after a comma, where its
+      other symbols come from. For a term without columns, what it changes.
     columns: functions that return (n,), N m per unit of each linear parameter, in order.
     rates: functions that return the time derivatives of the columns, per second, for the motion's time derivative
       (second argument).
@@ -167,6 +169,7 @@ class Term:
     confusable: tuple[str, ...] = ()
     sticks: bool = False
     selection: Literal["smallest", "considered", "motor torque", "misfit", "named"] = "considered"
+    equation: str = ""
 
     @property
     def linear(self) -> bool:

@@ -65,6 +65,7 @@ OFFSET: Final = Term(
     rates=_still,
     selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
     bends=False,
+    equation="tau0",
 )
 
 DRIFT: Final = Term(
@@ -76,6 +77,7 @@ DRIFT: Final = Term(
     rates=_still,
     needs="offset",
     bends=False,
+    equation="drift*t",
 )
 
 SKEW: Final = Term(
@@ -97,6 +99,7 @@ SKEW: Final = Term(
     # it moves the breaks that friction makes at every reversal, and differs little from what else follows late
     confusable=("coulomb", "lag", "maxwell"),
     bends=False,
+    equation="x and v are those of the time t - skew",
 )
 
 LAG: Final = Term(
@@ -119,6 +122,7 @@ LAG: Final = Term(
     forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
     selection="misfit",
     bends=False,
+    equation="the reading r follows tau: lag*dr/dt = tau - r",
 )
 
 MEAN: Final = Term(
@@ -142,4 +146,5 @@ MEAN: Final = Term(
     reason="lag and mean are two accounts of the torque cell's filter",
     selection="misfit",
     bends=False,
+    equation="the reading is the mean of tau over window",
 )

@@ -153,6 +153,7 @@ def _branch(number: int, needs: str) -> Term:
         needs=needs,
         selection="misfit",
         bends=False,
+        equation=f"K{number}*(x - y{number}), tau{number}*dy{number}/dt = x - y{number}",
     )
 
 
@@ -169,6 +170,7 @@ LINEAR: Final = Term(
     selection="smallest",
     bends=False,
     carried=True,
+    equation="Kc*x + Bc*v",
 )
 
 CUBIC: Final = Term(
@@ -180,6 +182,7 @@ CUBIC: Final = Term(
     pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
     confusable=("backlash", "slack", "deadband"),
     carried=True,
+    equation="K3*x^3",
 )
 
 QUINTIC: Final = Term(
@@ -192,6 +195,7 @@ QUINTIC: Final = Term(
     needs="cubic",
     selection="misfit",
     carried=True,
+    equation="K5*x^5",
 )
 
 ASYMMETRIC: Final = Term(
@@ -218,6 +222,7 @@ ASYMMETRIC: Final = Term(
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
     breaks=True,
     selection="misfit",
+    equation="Ka*|x - turn|",
 )
 
 PROGRESSIVE: Final = Term(
@@ -230,6 +235,7 @@ PROGRESSIVE: Final = Term(
     carried=True,
     needs="offset",
     selection="misfit",
+    equation="Kp*x^2",
 )
 
 _RISE: Final = Parameter("Kh", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True)
@@ -243,6 +249,7 @@ HARDENING: Final = Term(
     pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
     carried=True,
     selection="misfit",
+    equation="Kh*x*|x|",
 )
 
 _EXPONENT: Final = Parameter(
@@ -263,6 +270,7 @@ EXPONENTIAL: Final = Term(
     excludes=_POWERS,
     reason=_REASON,
     selection="misfit",
+    equation="2*Kh*sign(x)*(exp(u) - 1 - u)/exponent^2, u = exponent*|x|",
 )
 
 TOE: Final = Term(
@@ -278,6 +286,7 @@ TOE: Final = Term(
     excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,
     selection="misfit",
+    equation="2*Kp*(exp(u) - 1 - u)/exponent^2, u = exponent*x",
 )
 
 SOFTENING: Final = Term(
@@ -289,6 +298,7 @@ SOFTENING: Final = Term(
     pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
     carried=True,
     selection="misfit",
+    equation="Ks*(t - tm)*x, tm: the middle of the recording",
 )
 
 MAXWELL: Final = _branch(1, "")

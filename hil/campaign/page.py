@@ -146,7 +146,7 @@ def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Pat
         title=f"{plan.settings.name}: {verdict(found)}",
         subject=f"Campaign {plan.settings.name}, {plan.path}",
         verdict=(verdict(found),),
-        diagnostics=diagnostics(found),
+        diagnostics=[*diagnostics(found), *_of_recordings(found)],
         sections=[Section("The hand, with 95 % intervals", rows), Section("Every recording", _recordings(found))],
         pictures=[Picture("hand", "Kc and Bc of each joint", text, lambda: chart(found))] if done else [],
         provenance=provenance(done[:1], command),
@@ -154,6 +154,12 @@ def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Pat
         failed=not done,
     )
     return write(page, path, force=True)
+
+
+def _of_recordings(found: Results) -> list[Diagnostic]:
+    """Return the warnings and errors of every recording's result; the errors of a failed one are in its failure."""
+    measured = [one for line in found.lines for one in line.measured]
+    return [said for one in measured for said in one.diagnostics if not (one.failure and said.is_error)]
 
 
 def _recordings(found: Results) -> list[list[str]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.campaign.journal import Journal, kept_result
 from hil.campaign.plan import Plan, Run
+from hil.diagnostics import Diagnostic
 from hil.identification.result import interval
 from hil.recording.reader import Recording
 from hil.uncertainty.random_effects import Drift, between, drift
@@ -43,13 +44,14 @@ class Value:
 @dataclass(frozen=True, slots=True)
 class Measured:
     """A run with the parameters that may be trusted. failure: why there is no recording or no result, otherwise "".
-    created: date of the recording.
+    created: date of the recording. diagnostics: the warnings and errors of its result.
     """
 
     run: Run
     values: Mapping[str, Value]
     failure: str = ""
     created: str = ""
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,12 @@ def _measured(plan: Plan, run: Run, journal: Journal) -> Measured:
     reasons = "; ".join(dict.fromkeys(one["message"] for one in found["errors"]))
     with Recording(run.path) as recording:
         created = str(recording.attributes.get("created", ""))
-    return Measured(run, values, "" if values else reasons or "neither Kc nor Bc may be trusted", created)
+    said = tuple(
+        Diagnostic(one["code"], f"{run.name}: {one['message']}", one["parameter"], is_error=severity == "errors")
+        for severity in ("errors", "warnings")
+        for one in found[severity]
+    )
+    return Measured(run, values, "" if values else reasons or "neither Kc nor Bc may be trusted", created, said)
 
 
 def _usable(one: dict[str, Any]) -> bool:

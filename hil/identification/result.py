@@ -209,8 +209,8 @@ class Identification:
         correlates as the sampling errors of the selected model do. Infinite or NaN for a parameter that is not known.
         """
         errors = np.array([one.stderr for one in self.estimates])
-        parameters = (*self.model.linear, *self.model.nonlinear)
-        values = [one.value if known.scales else 0.0 for one, known in zip(self.estimates, parameters, strict=True)]
+        torques = {one.name for one in (*self.model.linear, *self.model.nonlinear) if one.scales}
+        values = [one.value if one.name in torques else 0.0 for one in self.estimates]
         common = self.torque_uncertainty * np.array(values)
         rest = np.sqrt(np.maximum(errors**2 - common**2, 0.0))
         names = [one.name for one in self.estimates]

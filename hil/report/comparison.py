@@ -114,14 +114,28 @@ def write_page(found: Comparison, path: Path, command: str = "", *, force: bool)
     page = Page(
         title=f"{', '.join(path.name for path in paths)}: {verdicts[0]}",
         subject=f"Comparison of {len(paths)} recordings, {found.model}",
-        verdict=verdicts,
+        verdict=_pooled(found) or verdicts,
         diagnostics=found.diagnostics,
-        sections=[Section("Each recording on its own", rows)],
+        sections=[Section("Each recording on its own", rows, verdicts)],
         pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: chart(found))],
         provenance=provenance(paths, command),
         table=as_json(found),
     )
     return write(page, path, force=force)
+
+
+def _pooled(found: Comparison) -> list[str]:
+    """Return a line with the pooled value and interval of each parameter; [] if one has none."""
+    lines = []
+    for one in found.parameters:
+        if one.pooled is None:
+            return []
+        factor, unit = _scale(found, one.unit)
+        low, high = one.pooled.ci95
+        value, half = rounded(0.5 * (high - low) * factor, one.pooled.value * factor)
+        how = "does not repeat" if one.repeats is False else f"{len(one.recordings)} recordings pooled"
+        lines.append(f"{one.name} = {value} ± {half} {unit} ({how})")
+    return lines
 
 
 def _cell(found: Comparison, one: Measured, name: str) -> str:

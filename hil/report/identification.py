@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ga.model.coupling import CouplingModel
 from hil.recording.interval import named
 from hil.report.formatting import engineering, people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_table
@@ -17,6 +18,7 @@ from hil.units import with_unit
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from hil.identification.coupling import Coupling
     from hil.identification.result import Deflection, Estimate, Identification
 
 _METHODS = {"instruments": "the command as an instrument", "simulation": "a simulation of the noise"}
@@ -66,6 +68,25 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     value, half = of(estimate.half_width * factor, estimate.value * factor)
     first, last, _ = of(0.05 * (high - low), low, high)
     return value, half, f"{first} to {last}", unit
+
+
+def equation(model: Coupling) -> str:
+    """Return a model as an equation with every sign that is no parameter named; "" for a model of the user."""
+    if not isinstance(model, CouplingModel):
+        return ""
+    added, changes = [], []
+    for term in model.terms:
+        said = term.equation or f"(the torque of {term.name})"
+        torque, _, more = said.partition(", ") if term.columns else ("", "", said)
+        added += [torque] if torque else []
+        changes += [more] if more else []
+    signs = "tau: torque at the joint; x: deflection; v: its rate; t: time"
+    return f"tau = {' + '.join(added)}" + "".join(f"; {one}" for one in changes) + f" ({signs})"
+
+
+def meaning(model: Coupling) -> str:
+    """Return a model in words, its name for a model of the user."""
+    return "; ".join(term.meaning for term in model.terms) if isinstance(model, CouplingModel) else model.name
 
 
 def estimates_table(found: Identification) -> Table:
@@ -139,7 +160,7 @@ def identification_lines(found: Identification) -> list[str]:
         f"optimiser gap {found.optimiser_gap:.1e}",
         f"validation on 20 % held-out data: mean |torque error| {found.validation.fitness * factor:.3g} {unit}; "
         f"r.m.s. error {found.validation.nrmse:.2%} of the torque",
-        *_choice_lines(found),
+        *optimum_lines(found),
         *_component_lines(found),
         *deflection_lines(found.deflection),
         *_fixture_lines(found),
@@ -201,23 +222,47 @@ def _window_lines(found: Identification) -> list[str]:
     return [f"only a part was used: {', '.join(used)}"] if used else []
 
 
-def _choice_lines(found: Identification) -> list[str]:
-    """Return how much of the intervals of Kc and Bc is caused by the uncertain choice of the model."""
-    averages = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
-    shares = " and ".join(f"{estimate.choice:.0%} of the interval of {estimate.name}" for estimate in averages)
-    return [f"the choice of the model makes {shares}"] if shares else []
+def optimum_lines(found: Identification) -> list[str]:
+    """Return why Kc and Bc are not the exact optimum of the selected model; [] if they are."""
+    others = [estimate for estimate in found.estimates[:2] if estimate.conditional is not None]
+    if not others:
+        return []
+    corrected = found.deflection is not None and found.deflection.method != "none"
+    why = [
+        *(["averaged over the models that the data cannot decide between"] if found.steps else []),
+        *(["corrected for the noise of the deflection"] if corrected else []),
+        *(["without the compliance of the fixture"] if found.fixture else []),
+    ]
+    alone = " and ".join(
+        f"{one.name} {with_unit(f'{one.exact * factor:.5g}', unit)}"
+        for one in others
+        for factor, unit in [people_unit(one.unit, milli=milli(found))]
+    )
+    shares = " and ".join(f"{one.choice:.0%} of the interval of {one.name}" for one in others)
+    subject = f"{others[0].name} is" if len(others) == 1 else "Kc and Bc are"
+    choice = f"; the choice of the model makes {shares}" if found.steps else ""
+    reasons = ", ".join(why) or "the middle of a range"
+    return [f"{subject} {reasons}: the exact optimum of {found.model.name} alone is {alone}{choice}"]
 
 
 def _component_lines(found: Identification) -> list[str]:
-    """Return the variance components of Kc and Bc over pooled recordings, as standard deviations."""
-    pooled = [(estimate, estimate.components) for estimate in found.estimates[:2] if estimate.components is not None]
-    return [
-        f"{estimate.name}, standard deviation between the {len(found.recordings)} recordings: "
-        f"{with_unit(f'{components.between * factor:.2g}', unit)}; "
-        f"within one: {with_unit(f'{components.within * factor:.2g}', unit)}"
-        for estimate, components in pooled
-        for factor, unit in [people_unit(estimate.unit, milli=milli(found))]
-    ]
+    """Return for pooled recordings how far Kc and Bc differ between them, and what that does to their intervals."""
+    lines = []
+    for estimate in found.estimates[:2]:
+        if (parts := estimate.components) is None:
+            continue
+        factor, unit = people_unit(estimate.unit, milli=milli(found))
+        apart, own = (with_unit(f"{part * factor:.2g}", unit) for part in (parts.between, parts.within))
+        why = (
+            f"differs from recording to recording by {apart} (standard deviation), which its interval includes"
+            if parts.between > 0.0
+            else "differs from recording to recording by no more than their own errors, and its interval includes what "
+            "so few recordings leave open"
+        )
+        lines.append(
+            f"{estimate.name} of {len(found.recordings)} pooled recordings {why}; the error of one recording is {own}"
+        )
+    return lines
 
 
 def _fixture_lines(found: Identification) -> list[str]:

@@ -16,11 +16,14 @@ from hil.report.controller import controller_line, controller_rows
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
     bands_table,
+    equation,
     estimates_table,
     headline,
     identification_lines,
+    meaning,
     milli,
     model_selection_table,
+    optimum_lines,
     repeatability_table,
     verdicts,
 )
@@ -56,20 +59,23 @@ def write_page(found: Identification, path: Path, command: str = "", *, force: b
 
 
 def _sections(found: Identification) -> list[Section]:
-    sections = [
-        Section("Numbers, with 95 % intervals", table_rows(estimates_table(found)), identification_lines(found))
-    ]
-    rows = controller_rows(found, milli=milli(found))
-    sections.append(
-        Section("For a controller", rows and [("", "value", "95 % interval", ""), *rows], (controller_line(found),))
-    )
+    meanings = {one.name: one.meaning for one in (*found.model.linear, *found.model.nonlinear)}
+    headings, *numbers = table_rows(estimates_table(found))
+    rows = [[*row, meanings.get(one.name, "")] for row, one in zip(numbers, found.estimates, strict=True)]
+    model = (f"model: {meaning(found.model)}", equation(found.model))
+    lines = [*filter(None, model), *identification_lines(found)]
+    sections = [Section("Numbers, with 95 % intervals", [[*headings, "meaning"], *rows], lines)]
+    loop = controller_rows(found, milli=milli(found))
+    table = [("", "value", "95 % interval", ""), *loop] if loop else []
+    sections.append(Section("For a controller", table, (controller_line(found),)))
     if found.steps:
         sections.append(Section("Model selection", table_rows(model_selection_table(found))))
-    if table := bands_table(found):
-        title = f"{table.title}".capitalize()
-        sections.append(Section(title, table_rows(table), distortion_lines(found.dynamic_stiffness)))
+    if bands := bands_table(found):
+        title = f"{bands.title}".capitalize()
+        sections.append(Section(title, table_rows(bands), distortion_lines(found.dynamic_stiffness)))
     text = f"{len(found.trials.fitness)} independent trials. This is how well the search repeats, and no uncertainty."
-    return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), (text,))]
+    lines = [text, *optimum_lines(found)]
+    return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), lines)]
 
 
 def write_failure(

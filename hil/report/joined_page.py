@@ -65,7 +65,7 @@ def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force
     )
     if len(good) > 1:
         text = "; ".join(f"{row[0]}: Kc {row[1]}, Bc {row[2]}" for row in table(good)[1:])
-        together = Picture("together", "Kc and Bc of each recording", text, lambda: _chart(good))
+        together = Picture("together", "Kc and Bc of each recording", text, lambda: chart(good))
         page = replace(page, pictures=[together, *page.pictures])
     return write(page, path, force=force)
 
@@ -82,21 +82,23 @@ def table(entries: Sequence[Entry]) -> list[list[str]]:
     factor, units = _units(entries)
     rows = [["recording", f"Kc [{units[0]}]", f"Bc [{units[1]}]", "model", "state"]]
     for entry in entries:
-        cells = [_cell(entry.estimate(name), factor) for name in PARAMETERS]
+        cells = [_cell(entry, name, factor) for name in PARAMETERS]
         rows.append([entry.path.name, *cells, "" if entry.found is None else entry.found.model.name, _state(entry)])
     return rows
 
 
 def _units(entries: Sequence[Entry]) -> tuple[float, tuple[str, str]]:
-    small = all(milli(entry.found) for entry in entries if entry.found is not None)
+    found = [entry.found for entry in entries if entry.trusted] or [entry.found for entry in entries]
+    small = all(milli(one) for one in found if one is not None)  # a recording that went wrong chooses no unit
     factor, stiffness = people_unit("N*m/rad", milli=small)
     return factor, (stiffness, people_unit("N*m*s/rad", milli=small)[1])
 
 
-def _cell(estimate: Estimate | None, factor: float) -> str:
-    if estimate is None:
+def _cell(entry: Entry, name: str, factor: float) -> str:
+    if entry.found is None or (estimate := entry.estimate(name)) is None:
         return "no result"
-    return " ± ".join(rounded(estimate.half_width * factor, estimate.value * factor))
+    text = " ± ".join(rounded(estimate.half_width * factor, estimate.value * factor))
+    return text if entry.found.trusted(name) else f"{text} (not trusted)"
 
 
 def _state(entry: Entry) -> str:
@@ -125,14 +127,17 @@ def _pictures(at: int, entry: Entry) -> list[Picture]:
     ]
 
 
-def _chart(entries: Sequence[Entry]) -> Chart:
-    """Return Kc and Bc over the recordings, with their intervals."""
+def chart(entries: Sequence[Entry]) -> Chart:
+    """Return Kc and Bc over the recordings, with their intervals. What may not be trusted is named and not drawn."""
     factor, units = _units(entries)
     panels = []
     for name, unit in zip(PARAMETERS, units, strict=True):
-        shown = [(at, one) for at, entry in enumerate(entries) if (one := entry.estimate(name)) is not None]
+        good = [entry.found is not None and entry.found.trusted(name) for entry in entries]
+        shown = [(at, one) for at, entry in enumerate(entries) if good[at] and (one := entry.estimate(name))]
+        bad = {False: " (not trusted)", True: ""}
+        names = [f"{entry.path.stem}{bad[known]}" for entry, known in zip(entries, good, strict=True)]
         line = with_intervals([(at, one.value * factor, one.half_width * factor) for at, one in shown])
-        panels.append(Panel("", f"{name} [{unit}]", [line], names=[entry.path.stem for entry in entries]))
+        panels.append(Panel("", f"{name} [{unit}]", [line], names=names))
     return Chart(panels)
 
 

@@ -67,14 +67,11 @@ def pictures(found: Identification) -> list[Picture]:
 
 def _search_pictures(found: Identification) -> list[Picture]:
     factor, unit = people_unit("N*m", milli=milli(found))
-    shown = [
-        Picture(
-            "convergence",
-            "Convergence of the search",
-            search.convergence_text(found),
-            lambda: search.convergence_chart(found.trials, found.optimum, factor, unit),
-        )
-    ]
+    shown = []
+    if search.is_of_one_fitness(found):
+        text = search.convergence_text(found)
+        chart = lambda: search.convergence_chart(found.trials, found.optimum, factor, unit)  # noqa: E731 - as above
+        shown.append(Picture("convergence", "Convergence of the search", text, chart))
     if search.has_landscape(found):
         text = search.landscape_text(found)
         shown.append(Picture("landscape", "Fitness landscape", text, lambda: search.landscape_chart(found)))

@@ -24,11 +24,21 @@ Span = tuple[float, float]
 
 PARAMETERS = ("Kc", "Bc")
 _NO_GAP = 1e-16  # for a logarithm: a trial that found the exact optimum has none
+_SAME = 1e-9  # relative difference of two values of one fitness
 _GRID = 41  # values of Kc and of Bc in a landscape
 _ROWS = 20_000  # whose residual changes its sign in a landscape: enough for its shape
 _BESIDE = 3.0  # half-widths of the interval that the near landscape shows on each side
 _WIDE = 0.6  # of the value, that the far landscape shows on each side at least
 _UNKNOWN = 0.2  # of the value, for half an interval that is not finite
+
+
+def is_of_one_fitness(found: Identification) -> bool:
+    """Return whether the trials were judged by the fitness of the exact optimum, which their curves then approach.
+
+    A search over nonlinear parameters judges them by another one.
+    """
+    reached = float(found.trials.history.fitness[:, -1].min())
+    return bool(np.isclose(reached, found.trials.fitness.min(), rtol=_SAME, atol=0.0))
 
 
 def convergence_chart(trials: Trials, optimum: float, factor: float, unit: str) -> Chart:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -53,6 +54,38 @@ def test_every_term_names_its_parameters_with_their_units_in_the_order_of_the_co
     assert np.array_equal(columns[:, 3], TIME - TIME[0])
     assert columns[:, 5] == pytest.approx(DTHETA**3, rel=1e-14)
     assert np.array_equal(columns[:, 6], ACCELERATION)
+
+
+WITHOUT_MEMORY = [name for name, term in TERMS.items() if term.columns is not None and "/dt = " not in term.equation]
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_the_equation_of_a_term_names_every_parameter(name: str) -> None:
+    words = set(re.findall(r"[A-Za-z]\w*", TERMS[name].equation))
+    assert {parameter.name for parameter in TERMS[name].parameters} <= words
+
+
+@pytest.mark.parametrize("name", WITHOUT_MEMORY)
+def test_the_equation_of_a_term_is_the_torque_that_it_adds(name: str) -> None:
+    model, term = parse(compatible_model(name, ())), TERMS[name]
+    values = {parameter.name: 0.3 + 0.2 * at for at, parameter in enumerate(model.parameters)}
+    signs = {"x": DTHETA, "v": RATE, "t": TIME - TIME[0], "tm": 2.0, "acceleration": ACCELERATION}
+    signs |= {"sign": np.sign, "exp": np.exp, "abs": np.abs}
+
+    def evaluated(equation: str) -> Array:
+        code = re.sub(r"\|([^|]*)\|", r"abs(\1)", equation).replace("^", "**").replace("dv/dt", "acceleration")
+        return np.asarray(eval(code, {}, signs | values))  # noqa: S307 - the record of a term
+
+    torque, _, where = term.equation.partition(", ")
+    if where.startswith("u = "):
+        signs["u"] = evaluated(where.removeprefix("u = "))
+    columns = model.columns(MOTION, np.array([values[one.name] for one in model.nonlinear]))
+    own = [one.name in {parameter.name for parameter in term.parameters} for one in model.linear]
+    given = np.array([values[one.name] for one in model.linear])
+    moving = np.abs(RATE) > 0.1  # where friction has its sign
+    np.testing.assert_allclose(
+        (columns[:, own] @ given[own])[moving], np.broadcast_to(evaluated(torque), 401)[moving], rtol=1e-6, atol=1e-9
+    )
 
 
 def test_coulomb_friction_is_a_sign_smoothed_where_the_joint_hardly_moves() -> None:

@@ -7,6 +7,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,9 @@ def test_a_campaign_records_identifies_and_reports_every_joint_and_never_repeats
     assert "soft" in page
     assert "stiff" in page
     recordings = sorted((tmp_path / "out").glob("*.h5"))
+    for result in (tmp_path / "out").glob("*.json"):
+        for one in json.loads(result.read_text()).get("result", {}).get("warnings", []):
+            assert escape(one["message"]) in page
     before = {path: path.stat().st_mtime_ns for path in recordings}
     assert len(recordings) == 4
     recordings[0].unlink()  # one is missing: only this one is recorded again

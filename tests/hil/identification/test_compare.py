@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -209,7 +210,10 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hi
     assert "…" not in out  # nothing is cut off at 80 characters
     assert "Kc does not repeat" in out
     assert "wrote c.html\n" in err
-    assert "Kc does not repeat" in Path("c.html").read_text()
+    page = Path("c.html").read_text()
+    assert "Kc does not repeat" in page
+    assert re.search(r'<p class="answer">Kc = \S+ ± \S+ mN m/rad \(does not repeat\)</p>', page)
+    assert re.search(r'<p class="answer">Bc = \S+ ± \S+ mN m s/rad \(3 recordings pooled\)</p>', page)
 
 
 def test_the_json_is_one_object_of_numbers_in_si(hil: Hil, make_recording: Maker) -> None:

@@ -130,7 +130,10 @@ def test_a_report_suits_a_phone_the_dark_and_paper(report: Report) -> None:
     page = report[1]
     assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in Elements(page).attributes("meta")
     assert "@media (prefers-color-scheme: dark)" in page
-    assert "@media print" in page
+    [printed] = re.findall(r"@media print \{(.*?)</style>", page, re.DOTALL)
+    assert "section, details, figure, table, tr, li, .verdict { break-inside: avoid; }" in printed  # none is split
+    assert "zoom: .5" in printed  # so that two charts share a page
+    assert re.search(r"@media \(max-width: 36rem\) .*\.numbers td { white-space: normal; }", page)  # units stay
 
 
 def test_a_report_is_made_without_matplotlib(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,9 +16,10 @@ from ga.model.coupling import parse
 from hil.errors import WrongUse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.result import Identification
+from hil.identification.result import Conditional, Identification, Step
 from hil.report.html_page import check_page_name
 from hil.report.identification import (
+    equation,
     estimates_table,
     headline,
     repeatability_table,
@@ -29,6 +30,7 @@ from hil.report.identification_json import as_json
 from hil.report.identification_page import write_page
 from hil.report.pictures.estimates import intervals_text
 from hil.report.pictures.result import figure
+from hil.uncertainty.stationarity import VarianceComponents
 
 from ..conftest import Maker
 from .conftest import recording
@@ -48,6 +50,39 @@ def text(result: Identification, width: int) -> str:
     return drawn.get()
 
 
+def test_a_page_states_the_model_as_an_equation_and_names_every_sign(rich: Identification, tmp_path: Path) -> None:
+    page = write_page(rich, tmp_path / "r.html", force=True).read_text(encoding="utf-8")
+    assert "tau = Kc*x + Bc*v + tau0 + drift*t + Fc*sign(v) + K3*x^3 (tau: torque at the joint; x: deflection" in page
+    for parameter in rich.model.linear:
+        assert f"<td>{parameter.meaning}</td>" in page
+    assert "a spring Kc and a damper Bc, the paper&#39;s equation 3; a constant torque" in page
+    assert equation(parse("linear+skew")).startswith("tau = Kc*x + Bc*v; x and v are those of the time t - skew (")
+
+
+def test_a_page_says_why_the_average_is_not_the_optimum_where_either_stands(
+    found: Identification, tmp_path: Path
+) -> None:
+    kc = replace(found["Kc"], conditional=Conditional(1.01 * found["Kc"].value, found["Kc"].ci95))
+    step = Step("linear", "linear", 1.0, 1.0, 1.0, 1.0, 1.0, included=True, cost=0.0)
+    averaged = replace(found, estimates=(kc, found["Bc"]), steps=(step,))
+    exact = "averaged over the models that the data cannot decide between: the exact optimum of linear alone is Kc"
+    page = write_page(averaged, tmp_path / "r.html", force=True).read_text(encoding="utf-8")
+    assert page.count(f"{exact} {1e3 * kc.exact:.5g} mN m/rad") == 2  # beside the numbers, and beside the optimum
+    assert exact not in write_page(found, tmp_path / "s.html", force=True).read_text(encoding="utf-8")
+
+
+def test_pooled_recordings_say_why_their_interval_is_what_it_is(found: Identification) -> None:
+    apart = VarianceComponents(1e-5, 5e-4, (0.02, 0.021), 0.01)
+    alike = VarianceComponents(1e-5, 0.0, (0.02, 0.02), 0.9)
+    estimates = replace(found["Kc"], components=apart), replace(found["Bc"], components=alike)
+    pooled = replace(found, recordings=2 * found.recordings, windows=(None, None), estimates=estimates)
+    said = "\n".join(summary_lines(pooled))
+    assert (
+        "differs from recording to recording by 0.5 mN m/rad (standard deviation), which its interval includes" in said
+    )
+    assert "Bc of 2 pooled recordings differs from recording to recording by no more than their own errors" in said
+
+
 @pytest.mark.parametrize(("kc", "factor", "unit"), [(0.02, 1e3, "mN m"), (20.0, 1.0, "N m")])
 def test_a_page_says_value_interval_and_unit_as_they_were_found(
     found: Identification,
@@ -64,7 +99,7 @@ def test_a_page_says_value_interval_and_unit_as_they_were_found(
         path = make_recording(samples=800, kc=kc, bc=kc / 100.0, noise=kc / 100.0)
         result = identify([path], parse("linear"), Search(trials=1, seed=0, workers=1))
     page = write_page(result, tmp_path / "a.html", force=True).read_text()
-    pattern = r'<tr><th scope="row">(\w+)</th><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td></tr>'
+    pattern = r'<tr><th scope="row">(\w+)</th><td>(\S+)</td><td>(\S+) to (\S+)</td><td>([^<]+)</td><td>'
     rows = re.findall(pattern, page)
     assert [(name, said) for name, _, _, _, said in rows] == [("Kc", f"{unit}/rad"), ("Bc", f"{unit} s/rad")]
     for name, *numbers, _ in rows:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from hil.diagnostics import Diagnostic
 from hil.identification.result import Identification
 from hil.recording.writer import Header, write
-from hil.report.joined_page import Entry, verdict, write_page
+from hil.report.joined_page import Entry, chart, table, verdict, write_page
 
 from ..conftest import Hil
 from .conftest import recording
@@ -29,6 +31,21 @@ def test_every_recording_has_a_row_its_pictures_and_its_warnings_and_twenty_are_
     assert "bad&lt;.h5: nothing moved" in text
     names = re.findall(r' id="([^"]+)"', text)
     assert len(names) == len(set(names))
+
+
+def test_a_recording_that_went_wrong_chooses_neither_unit_nor_axis_and_is_marked(found: Identification) -> None:
+    wrong = Diagnostic("unexplained", "noise", is_error=True)
+    huge = replace(found["Kc"], value=5e3, ci95=(0.0, 1e4)), replace(found["Bc"], value=9.0, ci95=(0.0, 20.0))
+    signals = replace(found.signals, torque=1e4 * found.signals.torque)
+    bad = Entry(Path("bad.h5"), replace(found, estimates=huge, signals=signals, diagnostics=(wrong,)))
+    entries = [Entry(Path("a.h5"), found), bad]
+    headings, good, other = table(entries)
+    assert headings[1:3] == ["Kc [mN m/rad]", "Bc [mN m s/rad]"]
+    assert good == table(entries[:1])[1]
+    assert other[1].endswith("(not trusted)")
+    for panel in chart(entries).panels:
+        assert panel.names == ["a", "bad (not trusted)"]
+        assert len(panel.lines[0].x) == len(chart(entries[:1]).panels[0].lines[0].x)
 
 
 def test_the_command_joins_recordings_and_says_which_has_no_result(hil: Hil, tmp_path: Path) -> None:

@@ -90,6 +90,12 @@ def test_the_convergence_has_a_line_for_each_trial_their_mean_and_the_optimum(fo
     np.testing.assert_allclose(lines[5], 1e3 * found.optimum)
 
 
+def test_a_search_by_another_fitness_than_the_optimum_has_no_convergence(found: Identification) -> None:
+    history = replace(found.trials.history, fitness=1.002 * found.trials.history.fitness)
+    other = replace(found, trials=replace(found.trials, history=history))
+    assert "convergence" not in {one.name for one in pictures(other)}
+
+
 def test_model_selection_is_drawn_with_the_gain_of_each_term(found: Identification) -> None:
     gains_of = {"linear": np.nan, "coulomb": 12.5, "skew": -3.0, "cubic": 0.4}
     steps = tuple(
