@@ -30,6 +30,9 @@ class Usual:
     units: tuple[str, ...]
 
 
+_USUAL = {"N*m/A": Usual(10.0, ("mN*m/A",))}
+"""By unit: of quantities in the tables of drives, which do not know this module."""
+
 Place = tuple[str | int, ...]
 """The keys that lead to a value, from the outermost table inwards."""
 
@@ -81,7 +84,7 @@ def _quantity(value: Any, unit: str, hint: Any) -> tuple[Any, dict[Place, str]]:
 
 def _meant(value: Any, unit: str, hint: Any) -> str:
     """Return a sentence about a number that cannot be meant in the SI unit `unit`, "" for any other value."""
-    usual = next((part for part in _parts(hint) if isinstance(part, Usual)), None)
+    usual = next((part for part in _parts(hint) if isinstance(part, Usual)), _USUAL.get(unit))
     if usual is None or not isinstance(value, int | float) or not usual.most < value <= sys.float_info.max:
         return ""
     known = [one for one in usual.units if value * factor(dimension_of(unit), one) <= usual.most]

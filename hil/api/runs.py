@@ -308,11 +308,12 @@ def _limit_of(stand: Stand, mode: Quantity) -> float:
 
 def _check_amplitude(stand: Stand, profile: Profile) -> None:
     limit = _limit_of(stand, profile.mode)
-    unit = "N m" if profile.mode is Quantity.TORQUE else "rad"
+    unit, small, factor = ("N m", "mN*m", 1e-3) if profile.mode is Quantity.TORQUE else ("rad", "deg", math.pi / 180.0)
     if profile.amplitude > limit:
+        meant = f"write '{profile.amplitude:g} {small}' if you mean that, or "
         raise WrongUse(
             f"--amplitude {profile.amplitude:g} {unit} is beyond the stand's limit of {limit:g} {unit}: "
-            "lower it; no option raises a limit"
+            f"{meant if profile.amplitude * factor <= limit else ''}lower it; no option raises a limit"
         )
 
 

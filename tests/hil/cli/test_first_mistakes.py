@@ -109,12 +109,16 @@ def test_the_help_shows_the_options_of_the_genetic_algorithm_apart(hil: Hil) -> 
         ("limits.temperature", "343", "343 K"),
         ("stand.motor_inertia", "10", "10 g*cm^2"),
         ("limits.torque", "30", "30 mN*m"),  # 1500 times what the drive can do
+        ("odrive.torque_constant", "14.5", "14.5 mN*m/A"),
     ],
 )
 def test_a_number_that_cannot_be_meant_is_refused_with_the_unit_that_was(
     hil: Hil, key: str, number: str, meant: str
 ) -> None:
-    ended = hil("stand", "new", "--yes", "--set", f"{key}={number}")
+    new = ["stand", "new", "--yes"]
+    if key.startswith("odrive"):
+        new += ["--backend", "odrive", "--set", "odrive.interface=slcan", "--set", "odrive.channel=x"]
+    ended = hil(*new, "--set", f"{key}={number}")
     assert (ended.status, f'write "{meant}"' in ended.err) == (2, True), ended.err
     unit = ended.err.split('or "')[1].split('"')[0]
-    assert hil("stand", "new", "--yes", "--set", f"{key}={unit}").status == 0
+    assert hil(*new, "--set", f"{key}={unit}").status == 0
