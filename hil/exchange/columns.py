@@ -18,8 +18,10 @@ from hil.exchange.readers import formats
 from hil.exchange.readers.columns import numbers
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.text import rows
+from hil.printable import quoted
 from hil.recording.input import bounded
 
+_INDEXED = re.compile(r"[A-Za-z]+([\[._]?\d+\]?)(?=\s|$)")
 Answer = TypeVar("Answer")
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -48,6 +50,12 @@ class Table:
         """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
         return place(self.source, self.titles, name)
 
+    def _label(self, title: str) -> str | None:
+        """Return the column with the name of the joint in an indexed one: "field.name0" beside "field.effort0"."""
+        match = _INDEXED.search(title)
+        label = "" if match is None else f"{title[: match.start()]}name{match[1]}"
+        return label if label != title and label in self.titles else None
+
     def with_sum(self, title: str, factors: Sequence[tuple[int, float]]) -> Table:
         """Return the table with a further column `title`: the sum of columns, by index, with their factors."""
 
@@ -66,9 +74,15 @@ class Table:
         wanted: names as `place` accepts them. where: the filters. Raises WrongUse if no row passes, and for an error in
         the file, with its row.
         """
-        table, places = self.reader(
-            [self.place(name) for name in wanted], [(self.place(one.column), one) for one in where]
-        )
+        filters = [(self.place(one.column), one) for one in where]
+        own = [self.place(name) for name in wanted]
+        for title in (self.titles[at] for at in own):
+            if (label := self._label(title)) and label not in {self.titles[at] for at, _ in filters}:
+                raise WrongUse(
+                    f"{self.source}: the joint of {title!r} is named in {label!r}, and the order of joints changes from "
+                    f"start to start: read the rows of one joint with --where {quoted(f'{label}==JOINT')}"
+                )
+        table, places = self.reader(own, filters)
         if not len(places):
             what = "no row passes " + " and ".join(str(one) for one in where) if where else "it has no rows"
             raise WrongUse(f"{self.source}: {what}")

@@ -58,6 +58,7 @@ def columns(
     for stamp, row in rows:
         read += 1
         values = list(_values((), (), row, beside or {}))
+        beside = {**(beside or {}), **names_of((_fields(row) or {}).values())}  # some send the names only once
         joints.update((one.named[0], None) for one in values if one.named)
         if joint is not None and not (values := [one for one in values if joint in one.named]):
             continue

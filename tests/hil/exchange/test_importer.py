@@ -698,3 +698,18 @@ def test_a_set_point_holds_until_the_next(tmp_path: Path) -> None:
 def test_a_command_that_is_none_is_refused_with_a_reason(tmp_path: Path, text: str, column: Column, said: str) -> None:
     with pytest.raises(WrongUse, match=re.escape(said)):
         imported(tmp_path, text, command=column)
+
+
+def test_an_index_beside_a_column_of_names_is_read_only_for_a_named_joint(tmp_path: Path) -> None:
+    rows = (f"{k},{('finger', 'thumb')[k % 2]},{k},0.{k}\n" for k in range(8))
+    (tmp_path / "a.csv").write_text("%time,field.name0,field.effort0,field.position0\n" + "".join(rows))
+    columns = {
+        "time": Column("%time", "ns"),
+        "torque": Column("field.effort0", "N*m"),
+        "dtheta": Column("field.position0", "rad"),
+    }
+    with pytest.raises(WrongUse, match=r"the order of joints changes .* --where field\.name0==JOINT"):
+        import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
+    import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [RowFilter.parse("field.name0==thumb")])
+    with Recording(tmp_path / "a.h5") as recording:
+        assert recording.channel("torque").tolist() == [1.0, 3.0, 5.0, 7.0]

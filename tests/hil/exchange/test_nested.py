@@ -121,3 +121,8 @@ def test_names_above_the_values_and_names_in_each_value_count_too(message: Any, 
 
 def test_values_whose_names_are_not_unique_are_not_read() -> None:
     assert read(Links(["tip", "tip"], [Point(z=1.0), Point(z=2.0)])).values == {}
+
+
+def test_names_that_are_sent_only_once_hold_for_the_rows_that_follow() -> None:
+    rows = [{"joints": ["thumb", "finger"]}, {"q": [1.0, 2.0]}, {"joints": ["finger", "thumb"], "q": [3.0, 4.0]}]
+    assert list(columns("JSON", enumerate(rows)).values["q.finger"])[1:] == [2.0, 3.0]
