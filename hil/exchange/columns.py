@@ -79,8 +79,8 @@ class Table:
         for title in (self.titles[at] for at in own):
             if (label := self._label(title)) and label not in {self.titles[at] for at, _ in filters}:
                 raise WrongUse(
-                    f"{self.source}: the joint of {title!r} is named in {label!r}, and the order of joints changes from "
-                    f"start to start: read the rows of one joint with --where {quoted(f'{label}==JOINT')}"
+                    f"{self.source}: the joint of {title!r} is named in {label!r}, and the order of joints changes "
+                    f"from start to start: read the rows of one joint with --where {quoted(f'{label}==JOINT')}"
                 )
         table, places = self.reader(own, filters)
         if not len(places):
