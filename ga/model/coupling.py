@@ -372,6 +372,9 @@ class CouplingModel:
                 found = term.columns(own)
             elif term.rates is not None and changing is not None:
                 found = term.rates(own, changing[reaches])
+            elif term.columns is not None and changing is not None:
+                moved = changing[reaches].dtheta * own.contact
+                found = (term.pushed(own, np.ones(1), moved) if term.pushed else np.zeros_like(moved),)
             found = tuple(own.loaded(term, *pair) for pair in zip(found, term.parameters, strict=False))
             columns += [seen.passed(column, bends=bends) for column in found] if reaches else found
         return np.stack(columns, axis=1).astype(np.float64, copy=False)

@@ -10,10 +10,10 @@ is computed, because the command line reads its help from the records.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -21,36 +21,52 @@ if TYPE_CHECKING:
     from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
+    Bounds = Callable[[Motion, float], tuple[tuple[float, float], ...]]
 
 ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Starting values, as fractions of the range, of a nonlinear parameter about whose value nothing is known."""
+
+Role = Literal[
+    "coupling", "bias", "friction", "damping", "curve", "change", "branch", "mass", "play", "load", "channel", "other"
+]
+"""What a term is, in the order in which a model's name lists its terms."""
+
+ROLES: Final[tuple[Role, ...]] = get_args(Role)
+
+Kind = Literal[
+    "", "torque at rest", "dry friction", "presliding friction", "yielding friction", "fall of friction",
+    "presliding length", "yielding length", "turning rate", "load share", "unloaded place", "gap width", "gap middle",
+    "slack end", "damping", "growth of damping", "exponent", "side stiffness", "side place", "relaxing stiffness",
+    "relaxation time", "moment of inertia", "delay", "lag time", "mean time",
+]  # fmt: skip
+"""What a parameter is, for the places that need to know more than its torque."""
+
+FRICTION: Final[tuple[Kind, ...]] = ("dry friction", "presliding friction", "yielding friction")
+"""The kinds of parameters that are the torque of friction that slides, of which a model has one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One parameter of a model: its name, its SI unit and its meaning.
 
-    scales: whether it is proportional to the torque. absent: the value that removes it from the model, None if no value
-    does. presence: whether its existence is in question, so that it is identifiable only if its interval excludes
-    `absent`. friction: whether its torque changes sign with the direction of motion. damping: whether it is the torque
-    of a damper. positive: whether it cannot be negative for physical reasons. nonlinear: whether it is searched; a
-    linear parameter is computed exactly.
+    kind: what it is. scales: whether it is proportional to the torque. absent: the value that removes it from the
+    model, None if no value does. presence: whether its existence is in question, so that it is identifiable only if its
+    interval excludes `absent`. positive: whether it cannot be negative for physical reasons. nonlinear: whether it is
+    searched; a linear parameter is computed exactly.
 
     For nonlinear parameters. starts: starting values, as fractions of the range. kinked: whether the torque has breaks
     at deflections that this parameter moves. refined: whether breaks give the fitness many local minima along it.
     open_ended: whether a value at its upper bound does not reject the term, because larger values have the same effect.
-    about: the parameter that is the middle between the two ends that this parameter moves. place: whether it is a
-    deflection, rad, with the same zero as the deflection.
+    about: the parameter that is the middle between the two ends that this parameter moves.
     """
 
     name: str
     unit: str
     meaning: str
+    kind: Kind = ""
     scales: bool = True
     absent: float | None = 0.0
     presence: bool = False
-    friction: bool = False
-    damping: bool = False
     positive: bool = False
     nonlinear: bool = False
     starts: tuple[float, ...] = ANYWHERE
@@ -58,7 +74,26 @@ class Parameter:
     refined: bool = False
     open_ended: bool = False
     about: str = ""
-    place: bool = False
+
+    @property
+    def friction(self) -> bool:
+        """Whether its torque changes sign with the direction of motion."""
+        return self.kind in {*FRICTION, "fall of friction", "load share"}
+
+    @property
+    def damping(self) -> bool:
+        """Whether it is the torque of a damper."""
+        return self.kind in {"damping", "growth of damping"}
+
+    @property
+    def place(self) -> bool:
+        """Whether it is a deflection, rad, with the same zero as the deflection."""
+        return self.kind in {"unloaded place", "gap middle", "slack end", "side place"}
+
+
+def searched(name: str, unit: str, meaning: str, kind: Kind = "", **properties: Any) -> Parameter:
+    """Return the record of a nonlinear parameter, none of which is in proportion to the torque."""
+    return Parameter(name, unit, meaning, kind, scales=False, nonlinear=True, **properties)
 
 
 def positive_among(parameters: Iterable[Parameter]) -> tuple[int, ...]:
@@ -103,15 +138,29 @@ class Regressors:
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
-    """One term of the coupling: a record in `ga.model.terms.TERMS`.
+class Mark:
+    """What residuals show of an effect that a model lacks: its code, its name in words, and what to try.
 
-    meaning: text for the help.
+    advice: models are named by their term in braces. again: whether a model with the term may lack another of the same
+    effect.
+    """
+
+    code: str
+    name: str
+    advice: str
+    again: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One effect that a model of the coupling can have: a record in `ga.model.terms.TERMS`.
+
+    meaning: text for the help. role: what it is.
     equation: the torque that the term adds, in the deflection x, its rate v and the time t; after a comma, where its
       other symbols come from. For a term without columns, what it changes.
     columns: functions that return (n,), N m per unit of each linear parameter, in order.
     rates: functions that return the time derivatives of the columns, per second, for the motion's time derivative
-      (second argument).
+      (second argument); None: of one column that depends on the deflection alone, or not on the motion.
     pushed: the change of the term's torque (n,), N m, when the deflection changes by the third argument (n,), rad, for
       given linear parameters.
     bounds: low and high of each nonlinear parameter, for motion up to a frequency, Hz.
@@ -126,8 +175,7 @@ class Term:
 
     contact: returns whether the surfaces of a gap touch (n,), for the remaining deflection, the motion and Bc/Kc in s.
     load: returns the factor (n,) of the carried torque, for the same arguments, v_s and the term's parameters.
-    carried: whether the torque of the term is part of the carried torque, which friction multiplies.
-    spares_dampers: whether dampers are not part of it, because they act in parallel to the parts that rub.
+    spares_dampers: whether dampers are not part of that torque, because they act in parallel to the parts that rub.
     forgets: for a torque that depends on earlier samples, returns the weight (n,) that the unknown state at the
       beginning of its piece still has at each sample, for a motion and the term's parameters.
     smooths: whether its parameter is v_s of all friction, rad/s; without such a term v_s is so small that friction
@@ -139,6 +187,13 @@ class Term:
     confusable: terms beside which this term must improve the score as much as one with breaks, because it resembles a
       part of them.
     sticks: whether friction of the term holds the joint where it is slow.
+    open: returns the deflections, rad, between which a gap with the term's parameters is open.
+    bench: whether every bench may have a little of it ("small"), or has it ("always"): such terms are in the average.
+    seldom: whether only one joint in ten has it.
+    repeats: whether only a motion that repeats shows it.
+    deviation: the torque (n,) by which a real joint departs from the term's law, up to a factor: of the motion, and of
+      the model's columns and values by parameter.
+    mark: what residuals show of it where the model lacks it.
     selection: whether model selection has it in the smallest model, considers it always, considers it only for a
       motor's torque or if other terms describe the recording badly, or never considers it.
     """
@@ -149,14 +204,13 @@ class Term:
     columns: Callable[[Regressors], tuple[Array, ...]] | None = None
     rates: Callable[[Regressors, Motion], tuple[Array, ...]] | None = None
     pushed: Callable[[Regressors, Array, Array], Array] | None = None
-    bounds: Callable[[Motion, float], tuple[tuple[float, float], ...]] | None = None
+    bounds: Bounds | None = None
     delays: bool = False
     cell: Callable[[Motion, Array, Array], Array] | None = None
     remaining: Callable[[Array, Array], Array] | None = None
     shifts: Callable[[Array], tuple[Array, ...]] | None = None
     contact: Callable[[Array, Motion, float], Array] | None = None
     load: Callable[[Array, Motion, float, float, Array], Array] | None = None
-    carried: bool = False
     spares_dampers: bool = False
     forgets: Callable[[Motion, Array], Array] | None = None
     smooths: bool = False
@@ -168,10 +222,22 @@ class Term:
     breaks: bool = False
     confusable: tuple[str, ...] = ()
     sticks: bool = False
-    selection: Literal["smallest", "considered", "motor torque", "misfit", "named"] = "considered"
+    role: Role = "other"
+    open: Callable[[Array], tuple[float, float]] | None = None
+    bench: Literal["", "small", "always"] = ""
+    seldom: bool = False
+    repeats: bool = False
+    deviation: Callable[[Motion, Mapping[Parameter, Array], Mapping[Parameter, float]], Array] | None = None
+    mark: Mark | None = None
+    selection: Literal["smallest", "considered", "motor torque", "misfit", "named"] = "misfit"
     equation: str = ""
 
     @property
     def linear(self) -> bool:
         """Return whether the torque of the term is linear in all its parameters."""
         return not any(parameter.nonlinear for parameter in self.parameters)
+
+    @property
+    def carried(self) -> bool:
+        """Return whether the torque of the term is part of the carried torque, which friction multiplies."""
+        return self.role in {"coupling", "damping", "curve", "change", "branch"}

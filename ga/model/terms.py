@@ -1,51 +1,29 @@
-"""The table of coupling terms, and the names of models, which are made of names of terms."""
+"""The table of coupling terms, found in the modules of `ga.model.effects`, and the names of models.
+
+The table is in the order of the roles, in a role common terms come before rare ones, and of these the records in the
+order of the modules and of their lines.
+"""
 
 from __future__ import annotations
 
 import difflib
 from dataclasses import replace
+from importlib import import_module
+from pkgutil import iter_modules
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from ga.model import friction, gaps, hysteresis, sensors, springs
-from ga.model.record import Parameter, Term
+from ga.model import effects
+from ga.model.record import ROLES, Kind, Parameter, Role, Term
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
-_RECORDS: Final = (
-    springs.LINEAR,
-    sensors.OFFSET,
-    sensors.DRIFT,
-    friction.COULOMB,
-    friction.STRIBECK,
-    hysteresis.DAHL,
-    hysteresis.LUGRE,
-    hysteresis.BOUC_WEN,
-    friction.QUADRATIC,
-    springs.CUBIC,
-    springs.QUINTIC,
-    springs.ASYMMETRIC,
-    springs.PROGRESSIVE,
-    springs.HARDENING,
-    springs.EXPONENTIAL,
-    springs.TOE,
-    springs.SOFTENING,
-    springs.MAXWELL,
-    springs.MAXWELL2,
-    friction.INERTIA,
-    gaps.BACKLASH,
-    gaps.DEADBAND,
-    gaps.SLACK,
-    friction.CAPSTAN,
-    friction.PULLEY,
-    friction.SMOOTH,
-    hysteresis.SHEATH,
-    hysteresis.GEAR,
-    sensors.SKEW,
-    sensors.LAG,
-    sensors.MEAN,
-)
+_CLASSES: Final = ("smallest", "considered", "motor torque", "misfit", "named")
+
+_modules: Final = (import_module(f"{effects.__name__}.{one.name}") for one in iter_modules(effects.__path__))
+_stated: Final = {id(one): one for module in _modules for one in vars(module).values() if isinstance(one, Term)}
+_RECORDS: Final = sorted(_stated.values(), key=lambda one: (ROLES.index(one.role), _CLASSES.index(one.selection)))
 
 _terms: Final = {term.name: term for term in _RECORDS}
 _parameters: Final = {p.name: p for t in _RECORDS for p in t.parameters}
@@ -57,12 +35,34 @@ PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType(_parameters)
 """Every parameter by its name."""
 
 CONSIDERED: Final = tuple(
-    t.name for t in _RECORDS if t.selection in {"smallest", "considered"} and t is not springs.LINEAR
+    t.name for t in _RECORDS if t.selection in {"smallest", "considered"} and t.role != "coupling"
 )
 """The terms that model selection considers for every recording."""
 
 RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
 """The rare terms, which model selection considers only if the terms in `CONSIDERED` do not describe the recording."""
+
+
+OF_MOTOR: Final = tuple(t.name for t in _RECORDS if t.selection == "motor torque")
+"""The terms that model selection considers for a motor's torque, and elsewhere only as the rare ones."""
+
+SMALLEST: Final = "+".join(t.name for t in _RECORDS if t.selection == "smallest")
+"""The name of the smallest model that is selected."""
+
+
+def of_role(*roles: Role) -> tuple[str, ...]:
+    """Return the names of the terms of these roles, in the order of the table, without those that are only named."""
+    return tuple(name for name, one in TERMS.items() if one.role in roles and one.selection != "named")
+
+
+def of_kind(names: Iterable[str], *kinds: Kind) -> tuple[str, ...]:
+    """Return those of the names that are the name of a parameter of these kinds, in their order."""
+    return tuple(name for name in names if name in PARAMETERS and PARAMETERS[name].kind in kinds)
+
+
+def size_of(values: Mapping[str, float], *kinds: Kind) -> float:
+    """Return the sum of the parameters of these kinds among `values`, by name; 0 without any."""
+    return sum((values[name] for name in of_kind(values, *kinds)), 0.0)
 
 
 class UnknownTerm(ValueError):

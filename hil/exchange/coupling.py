@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
 from hil.printable import quoted
@@ -16,7 +17,7 @@ from hil.recording.input import read_text
 from hil.report.identification_json import upgraded
 
 _LARGEST = 1 << 26  # bytes of a result
-_REPRESENTED = frozenset({"linear", "coulomb"}) | {"offset", "drift", "skew", "lag", "mean"}  # but for two, of sensors
+_REPRESENTED = frozenset(of_role("coupling", "bias", "channel")) | {name for name, one in TERMS.items() if one.bench}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +90,7 @@ def _of_json(table: Mapping[str, Any], name: str) -> Coupling:
         if not found[parameter].get("trusted"):
             why = "".join(f": {one['message']}" for one in table["errors"][:1])
             raise Untrustworthy(f"{name}: {parameter} cannot be trusted, so no model is made of it{why}")
-    friction = float(found["Fc"]["value"]) if "Fc" in found else 0.0
+    friction = sum((float(found[name]["value"]) for name in of_kind(found, "dry friction")), 0.0)
     values = {key: (float(one["value"]), str(one["unit"])) for key, one in found.items() if one["value"] is not None}
     kc, bc = _with_interval(found["Kc"]), _with_interval(found["Bc"])
     numbers = {

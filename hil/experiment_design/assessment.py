@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 from drivers.servo import Quantity
-from ga.model.terms import CONSIDERED
+from ga.model.terms import CONSIDERED, of_role
 from hil.acquisition.excitation import Profile
 from hil.errors import WrongUse
 from hil.experiment_design.fisher import TERMS, Prediction, Readings, mistaken_friction, predict
@@ -31,7 +31,7 @@ at the joint.
 UNITS = ("N m", "N m", "rad", "rad/s")
 """The units of the limited quantities, in the same order."""
 
-AUTO = tuple(term for term in TERMS if term == "linear" or term in CONSIDERED)
+AUTO = tuple(term for term in TERMS if term in {*of_role("coupling"), *CONSIDERED})
 """The terms of model "auto": those that model selection considers and whose errors can be predicted.
 
 More terms never lower an error, so the errors of any model selected from these terms are at most those predicted here.

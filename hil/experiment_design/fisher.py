@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import COULOMB
+from ga.model.effects.friction import COULOMB
 from ga.model.terms import TERMS as TABLE
 from ga.model.trajectory import Motion as Signals
 from hil.experiment_design.response import Joint, Motion

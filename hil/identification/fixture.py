@@ -113,7 +113,7 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
 def _explained(found: Identification) -> list[Diagnostic]:
     """Return the diagnostics, without a misfit that is explained by the fixture in series with the joint."""
     test = found.lack_of_fit
-    series = test is not None and "viscoelastic" in {one.effect.code for one in test.suspects}
+    series = test is not None and any(one.effect.is_of("branch") for one in test.suspects)
     return [one for one in found.diagnostics if not (series and one.code == "misfit")]
 
 

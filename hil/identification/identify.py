@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter, positive_among
 from hil.diagnostics import Diagnostic
 from hil.first_run import compiled_ahead
@@ -144,7 +145,7 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     # the interval that is reported may be narrower than that of the selected model
     given = (_names(parameters), solution.values, np.minimum(sampling.half_width, chosen))
     fitted, motion = dict(zip(given[0], solution.values.tolist(), strict=True)), data.signals.motion
-    span = data.place.span(fitted)
+    span = data.place.span(fitted, model.terms if isinstance(model, CouplingModel) else ())
     if data.choice.steps:
         span = span_met(motion, *given) or data.place.beside_turn(fitted, float(np.ptp(motion.dtheta))) or span
     if span is not None:

@@ -58,7 +58,7 @@ BETWEEN: Final = 3.0
 DIFFERENT: Final = 3.0
 """The ratio between two values of Kc in one recording above which a single Kc cannot describe both."""
 
-FRICTION: Final = 0.5
+MUCH_FRICTION: Final = 0.5
 """The ratio of friction to torque from which Kc depends on how friction is modelled."""
 
 LITTLE_FRICTION: Final = 0.2

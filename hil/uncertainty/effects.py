@@ -1,22 +1,26 @@
 """The signatures of effects that a model of the coupling may lack: columns that are compared with residuals.
 
 For one recording, each effect gives the torque that one unit of the effect would add: the pattern of a Maxwell branch,
-an inertia or friction in proportion to the torque in the residuals. Effects with a time constant or a length have a
-column for each of a few values.
+an inertia or friction in proportion to the torque in the residuals. The signature of a term follows from its record;
+effects with a time constant or a length have a column for each of a few values. Effects of the readings that no term
+describes have a signature of their own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import partial
+from itertools import pairwise, product
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.memory import slide_along
-from ga.model.terms import TERMS, compatible_model
+from ga.model.record import Mark, Parameter, Regressors, Role, Term
+from ga.model.terms import SMALLEST, TERMS, compatible_model
+from ga.model.trajectory import Motion
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.rate.low_pass import transform_size
 from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
@@ -25,7 +29,7 @@ Array = NDArray[np.float64]
 
 _CONSTANTS: Final = (0.003, 0.01, 0.03, 0.1, 0.3)  # s, of a Maxwell branch
 _PARTS: Final = (0.02, 0.07, 0.25, 0.8)  # of the largest deflection, over which friction acts
-_GAPS: Final = (0.01, 0.02, 0.035, 0.06, 0.1, 0.17, 0.3, 0.5, 0.8)  # of it, over which a gap may be open
+_GAPS: Final = tuple(np.geomspace(0.01, 0.8, 9).tolist())  # of it, over which a gap may be open
 _SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
 _SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
@@ -103,18 +107,17 @@ class Recorded:
             found[part] = np.fft.irfft(spectrum, size)[len(weights) - 1 :][: part.stop - part.start]
         return found
 
-    def low_passed(self, values: Array, constant: float) -> Array:
-        """Return values (n,) behind a first-order lag of `constant` s that has settled at the first sample."""
-        ratio = self.step / constant
-        weights = np.exp(-ratio * np.arange(1 + int(8.0 / ratio)))
-        return self.convolved(values, weights / weights.sum(), 0)
-
     def smoothed(self, values: Array, frequency: float) -> Array:
         """Return values (n,) low-passed at `frequency`, Hz, without phase shift (Gaussian window)."""
         width = np.sqrt(np.log(2.0)) / (2.0 * np.pi * frequency * self.step)
         half = int(np.ceil(3.0 * width))
         weights = np.exp(-0.5 * (np.arange(-half, half + 1) / width) ** 2)
         return self.convolved(values, weights / weights.sum(), half)
+
+    def motion(self) -> Motion:
+        """Return the motion, with the acceleration as the slope of the rate."""
+        known = np.zeros(len(self))
+        return Motion(self.time, self.deflection, self.rate, self.slope(self.rate), known, starts=self.starts)
 
     def centred(self) -> Array:
         """Return the deflection, rad, relative to the middle of its range."""
@@ -138,10 +141,14 @@ class Recorded:
         slide_along(keep, (1.0 - keep) * np.sign(moves[1:]), found)
         return found
 
+    @property
+    def softness(self) -> float:
+        """The rate, rad/s, over which friction turns."""
+        return _SOFT * float(np.sqrt(np.mean(self.rate**2)))
+
     def sign(self) -> Array:
         """Return the sign of the rate, smoothed where the rate is small."""
-        usual = float(np.sqrt(np.mean(self.rate**2)))
-        return np.tanh(self.rate / (_SOFT * usual)) if usual > 0.0 else np.zeros(len(self))
+        return np.tanh(self.rate / self.softness) if self.softness > 0.0 else np.zeros(len(self))
 
 
 Signature = Callable[[Recorded, Array], list[Array]]
@@ -152,30 +159,36 @@ Its arguments are a recording and the torque (n,), N m, of the fitted model.
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
+class Effect(Mark):
     """An effect that may explain the residuals.
 
-    name: the effect in words. advice: what to try; models are named by their term in braces. in_deflection: whether the
-    effect disturbs the deflection's reading, so that it changes Bc through a false skew. takes_spring: whether the
-    effect removes the spring's whole torque over the range in which its column changes.
+    terms: the terms that describe it. in_deflection: whether the effect disturbs the deflection's reading, so that it
+    changes Bc through a false skew.
     """
 
-    code: str
-    name: str
-    advice: str
-    signature: Signature
+    signature: Signature = lambda _recorded, _model: []
+    terms: tuple[Term, ...] = ()
     in_deflection: bool = False
-    takes_spring: bool = False
 
-    def remedy(self, terms: Sequence[str] = ("linear", "offset")) -> str:
+    def is_of(self, role: Role) -> bool:
+        """Return whether a term of this role describes the effect."""
+        return any(term.role == role for term in self.terms)
+
+    def is_in(self, names: Sequence[str]) -> bool:
+        """Return whether a model with parameters of these names leaves nothing of the effect."""
+        return not self.again and any(term.parameters[0].name in names for term in self.terms)
+
+    def remedy(self, terms: Sequence[str] = tuple(SMALLEST.split("+"))) -> str:
         """Return the advice for a model of these terms; each term in braces is combined with those of `terms` that it
         does not exclude.
 
         Advice that gives the present model again is left out.
         """
         models = {name: compatible_model(name, terms) for name in TERMS}
-        if "maxwell" in terms:  # beside a branch, what still relaxes is another one
-            models["maxwell"] = compatible_model("maxwell2", terms)
+        for name, one in TERMS.items():
+            if one.mark and one.mark.again and one.mark.code == self.code and name in terms:  # then there is another
+                further = (other for other, more in TERMS.items() if more.needs == name and more.role == one.role)
+                models[name] = next((compatible_model(other, terms) for other in further), models[name])
         return self.advice.format_map(models).removeprefix(f"try --model {'+'.join(terms)}, ")
 
     def __reduce__(self) -> tuple[Callable[[str], Effect], tuple[str]]:
@@ -192,44 +205,60 @@ def _smooth(recorded: Recorded, values: Array) -> Array:
     return recorded.smoothed(values, _SMOOTH / recorded.step)
 
 
-def _relaxing(recorded: Recorded, _model: Array) -> list[Array]:
-    constants = (constant for constant in _CONSTANTS if constant > 2.0 * recorded.step)
-    angle = _smooth(recorded, recorded.deflection)
-    return [_columns(angle - recorded.low_passed(angle, constant)) for constant in constants]
-
-
-def _sensor_lag(recorded: Recorded, model: Array) -> list[Array]:
-    torque = _smooth(recorded, model)
-    return [_columns(recorded.low_passed(torque, max(_LAG, 2.0 * recorded.step)) - torque)]
-
-
-def _delay(recorded: Recorded, model: Array) -> list[Array]:
-    return [_columns(recorded.slope(_smooth(recorded, model)))]
-
-
-def _inertia(recorded: Recorded, _model: Array) -> list[Array]:
-    return [_columns(recorded.slope(recorded.rate))]
-
-
-def _hysteresis(recorded: Recorded, _model: Array) -> list[Array]:
-    reach = recorded.reach()
-    return [_columns(recorded.presliding(part * reach)) for part in _PARTS]
-
-
 def _from_middles(recorded: Recorded) -> list[Array]:
     """Return the deflection, rad, relative to two points: where the torque is small, and the middle of its range."""
     angle, torque = recorded.centred(), np.abs(recorded.torque)
     return [angle - float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), angle]
 
 
-def _gap(recorded: Recorded, _model: Array) -> list[Array]:
-    reach = recorded.reach()
-    found = [(values, part * reach) for values in _from_middles(recorded) for part in _GAPS]
-    return [_columns(np.clip(values, -half, half)) for values, half in found]
+def _grid(recorded: Recorded, parameter: Parameter) -> tuple[float, ...]:
+    """Return the values of a nonlinear parameter at which its effect is looked for; a place is the middle itself."""
+    reach, shortest = recorded.reach(), 2.0 * recorded.step
+    if parameter.kind == "relaxation time":
+        return tuple(constant for constant in _CONSTANTS if constant > shortest)
+    if parameter.kind == "presliding length":
+        return tuple(part * reach for part in _PARTS)
+    if parameter.kind == "gap width":
+        return tuple(2.0 * part * reach for part in _GAPS)
+    return (0.0 if parameter.place else max(_LAG, shortest),)
 
 
-def _cubic(recorded: Recorded, _model: Array) -> list[Array]:
-    return [_columns(values**3) for values in _from_middles(recorded)]
+def _of_term(term: Term, recorded: Recorded, model: Array) -> Iterator[Array]:
+    """Yield the columns (n, k) of a term that a model with the torque (n,), N m, lacks."""
+    grids = [_grid(recorded, parameter) for parameter in term.parameters if parameter.nonlinear]
+    motion, torque, contact = recorded.motion(), _smooth(recorded, model), np.ones(len(recorded))
+    seen = partial(Regressors, recorded.elapsed(), motion, contact=contact, load=None, damped=True, middle=0.0)
+    if term.delays:
+        yield _columns(recorded.slope(torque))
+    elif term.load is not None:
+        yield _columns(np.abs(model - np.median(model)) * recorded.sign())
+    elif term.cell is not None:
+        for own in product(*grids):
+            yield _columns(term.cell(motion, torque, np.array(own)) - torque)
+    else:
+        for angle, own in product(_angles(term, recorded), product(*grids)):
+            values = np.array(own)
+            if term.remaining is not None:
+                yield _columns(angle - term.remaining(angle, values))
+            elif term.columns is not None:
+                yield _columns(*term.columns(seen(angle=angle, smoothing=recorded.softness, own=values)))
+
+
+def _angles(term: Term, recorded: Recorded) -> list[Array]:
+    """Return the deflection (n,), rad, from each middle that the term may have."""
+    if term.role == "play" or (term.role == "curve" and term.linear):
+        return _from_middles(recorded)
+    return [_smooth(recorded, recorded.deflection) if term.forgets is not None else recorded.centred()]
+
+
+def _marked(mark: Mark) -> Effect:
+    """Return the effect of a mark of the table."""
+    terms = tuple(term for term in TERMS.values() if term.mark == mark)
+
+    def signature(recorded: Recorded, model: Array) -> list[Array]:
+        return [columns for term in terms for columns in _of_term(term, recorded, model)]
+
+    return Effect(mark.code, mark.name, mark.advice, mark.again, signature, terms)
 
 
 def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
@@ -299,99 +328,44 @@ def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
     return [noise - smooth @ np.linalg.lstsq(smooth, noise, rcond=None)[0]]
 
 
-EFFECTS: Final = (
-    Effect("offset", "an offset of the torque", "try --model {offset}", lambda r, _m: [_columns(np.ones(len(r)))]),
-    Effect("drift", "a drift of the torque", "try --model {drift}", lambda r, _m: [_columns(r.elapsed())]),
-    Effect("skew", "a time shift between torque and angle", "try --model {skew}", _delay),
-    Effect(
-        "sensor-lag",
-        "a torque cell with a low bandwidth",
-        "try --model {lag}, or use a faster cell or switch its filter off",
-        _sensor_lag,
-    ),
+_OF_READINGS: Final = (
     Effect(
         "slow-cell",
         "a torque cell that is read more slowly than the angle",
         "record at the rate of the cell, or with the cell's own time stamps",
-        _held,
+        signature=_held,
     ),
     Effect(
         "interpolated-cell",
         "a slower torque cell whose readings were joined by lines",
         "record the cell's own readings, without resampling",
-        _joined,
-    ),
-    Effect(
-        "viscoelastic",
-        "a viscoelastic coupling, whose stiffness rises with frequency",
-        "try --model {maxwell}, read K'(f) and B'(f) with --verbose, or record the band that matters",
-        _relaxing,
-    ),
-    Effect("inertia", "an inertia in the torque", "try --model {inertia}, or set motor_inertia in the stand", _inertia),
-    Effect(
-        "coulomb",
-        "dry friction",
-        "try --model {coulomb}, or {smooth} where it turns gradually with the rate",
-        lambda r, _m: [_columns(r.sign())],
-    ),
-    Effect(
-        "hysteresis",
-        "friction that builds up over a distance (LuGre, Bouc-Wen)",
-        "try --model {dahl} or {boucwen}, and record two amplitudes: Kc then falls with the larger one",
-        _hysteresis,
-    ),
-    Effect(
-        "capstan",
-        "friction in proportion to the torque, as of a tendon in its sheath",
-        "try --model {capstan}, {pulley} or {sheath}, beyond a gap {gear}, and record at several amplitudes",
-        lambda r, m: [_columns(np.abs(m - np.median(m)) * r.sign())],
-    ),
-    Effect(
-        "quadratic-damping",
-        "damping that rises with the rate",
-        "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
-        lambda r, _m: [_columns(r.rate * np.abs(r.rate))],
-    ),
-    Effect("cubic", "a spring that stiffens", "try --model {cubic}, {exponential} or {toe}", _cubic),
-    Effect(
-        "backlash",
-        "a gap or dead band",
-        "try --model {backlash}, or {deadband} where the damper acts in the gap too",
-        _gap,
-        takes_spring=True,
-    ),
-    Effect(
-        "asymmetry",
-        "a stiffness that differs between the two directions",
-        "try --model {asymmetric} or {progressive}; for a single tendon {slack}",
-        lambda r, _m: [_columns(np.abs(r.centred())), _columns(r.centred() ** 2)],
-    ),
-    Effect(
-        "stiffness-drift",
-        "a stiffness that changes during the recording",
-        "try --model {softening}, or record for longer at one temperature",
-        lambda r, _m: [_columns(r.elapsed() * r.centred())],
+        signature=_joined,
     ),
     Effect(
         "damping-drift",
         "a damping that changes during the recording",
         "record for longer at one temperature, or identify parts of the recording",
-        lambda r, _m: [_columns(r.elapsed() * r.rate)],
+        signature=lambda r, _m: [_columns(r.elapsed() * r.rate)],
     ),
     Effect(
         "periodic",
         "a torque that repeats with the angle: cogging, or an encoder out of centre",
         "record over a larger angle, and calibrate the encoder",
-        _periodic,
+        signature=_periodic,
     ),
     Effect(
         "deflection-noise",
         "noise or counts in the deflection",
         "use a larger amplitude or a finer encoder, or name a --model without skew",
-        _reading_noise,
+        signature=_reading_noise,
         in_deflection=True,
     ),
 )
+
+_MARKS: Final = dict.fromkeys(term.mark for term in TERMS.values() if term.mark is not None)
+
+EFFECTS: Final = (*map(_marked, _MARKS), *_OF_READINGS)
+"""All effects: those of terms, in the order of the table, and those that no term describes."""
 
 
 def effect_of(code: str) -> Effect:

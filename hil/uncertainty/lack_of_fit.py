@@ -198,7 +198,7 @@ class _Tests:
             if best is not None and share <= best.share:
                 continue
             moved = self._moved(effect, (columns * self._kept) @ factors)
-            if effect.takes_spring and not self._takes_spring(columns, float(factors[0]), moved[0]):
+            if effect.is_of("play") and not self._takes_spring(columns, float(factors[0]), moved[0]):
                 continue
             if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE / len(EFFECTS):  # noise is always there
                 best = Suspect(effect, share, *moved)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.lad.out_of_core import reduce
+from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
@@ -109,7 +110,8 @@ def other_zeros(
     names, components, paths: as for `disagreement`. error: mean |error| of the fit, N m; a difference of half of it is
     relevant.
     """
-    one = dict(zip(names, components, strict=True)).get("tau0")
+    (name,) = of_kind(names, "torque at rest") or ("",)
+    one = dict(zip(names, components, strict=True)).get(name)
     if one is None or not _differ(one):
         return []
     values = np.array(one.values)
@@ -119,10 +121,10 @@ def other_zeros(
     text = (
         f"the torque at rest of {paths[at]} differs by {values[at] - usual:+.3g} N m from {_OTHERS[len(values) > 2]}; "
         f"the mean error of the fit is {error:.2g} N m. The torque cell or the encoder had another zero there. One "
-        "tau0 does not describe these recordings, and Kc and Bc take a part of what it leaves. Identify each recording "
-        "alone and compare them with hil compare, or set both zeros before you record again"
+        f"{name} does not describe these recordings, and Kc and Bc take a part of what it leaves. Identify each "
+        "recording alone and compare them with hil compare, or set both zeros before you record again"
     )
-    return [Diagnostic("recordings-differ", text, "tau0")]
+    return [Diagnostic("recordings-differ", text, name)]
 
 
 def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:

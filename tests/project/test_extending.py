@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -185,25 +186,51 @@ def with_seventh(monkeypatch: pytest.MonkeyPatch) -> None:
                 monkeypatch.setattr(module, name, longer_table)
 
 
-@pytest.mark.usefixtures("with_seventh")
-def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def stiffening(folder: Path) -> Path:
+    """A recording of a joint whose spring has the page's term."""
     time = np.arange(0.0, 6.0, 0.002)
     angle = 0.4 * np.sin(2.0 * np.pi * 0.7 * time) + 0.2 * np.sin(2.0 * np.pi * 2.9 * time)
     rate = np.gradient(angle, time)
     noise = np.random.default_rng(1).normal(0.0, 1e-4, time.size)
     torque = 0.02 * angle + 2e-4 * rate + 0.15 * angle**7 + noise
-    table, path = tmp_path / "a.csv", tmp_path / "a.h5"
+    table, path = folder / "a.csv", folder / "a.h5"
     np.savetxt(table, np.column_stack([time, torque, angle]), "%.9g", ",", header="t,tau,angle", comments="")
     columns = ["--time", "t", "--torque", "tau", "--dtheta", "angle", "--torque-unit", "N*m", "--dtheta-unit", "rad"]
     assert run(["import", str(table), *columns, "--time-unit", "s", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.mark.usefixtures("with_seventh")
+def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = stiffening(tmp_path)
     capfd.readouterr()
     assert run(["identify", str(path), "--model", "linear+offset+seventh", "--json"]) == 0
     values = {name: one["value"] for name, one in json.loads(capfd.readouterr().out)["parameters"].items()}
     assert values["Kc"] == pytest.approx(0.02, rel=0.01)
     assert values["Bc"] == pytest.approx(2e-4, rel=0.03)
     assert values["K7"] == pytest.approx(0.15, rel=0.02)
+
+
+IN_THE_FOLDER = """
+import sys
+import ga.model.effects
+ga.model.effects.__path__.append(sys.argv[1])
+from hil.cli.app import run
+sys.exit(run(["identify", sys.argv[2], "--json"]))
+"""
+
+
+@pytest.mark.study
+def test_model_selection_finds_the_term_of_the_page_when_its_module_is_put_into_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "effects").mkdir()
+    (tmp_path / "effects" / "seventh.py").write_text(block("term"), encoding="utf-8")
+    path = stiffening(tmp_path)
+    words = [sys.executable, "-c", IN_THE_FOLDER, str(tmp_path / "effects"), str(path)]
+    found = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+    assert found["model"] == "linear+seventh"
+    assert found["parameters"]["K7"]["value"] == pytest.approx(0.15, rel=0.02)
 
 
 def test_the_model_of_the_page_is_identified_from_its_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
-from ga.model.friction import SMOOTH
+from ga.model.effects.friction import SMOOTH
 from ga.model.separable import Problem, fit
-from ga.model.terms import CONSIDERED, RARER, TERMS, with_another
+from ga.model.terms import CONSIDERED, OF_MOTOR, RARER, SMALLEST, TERMS, size_of, with_another
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
@@ -100,19 +100,18 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     If torque or angle has the wrong sign, no model is right, and the smallest model is enough to show the wrong sign.
     """
     if negative_stiffness(signals.motion, signals.torque) is not None:
-        return _named(parse("linear+offset"), signals)
-    from_motor = [name for name, term in TERMS.items() if term.selection == "motor torque"]
-    terms = (*CONSIDERED, *(from_motor if signals.torque_from == "motor" else ()))
+        return _named(parse(SMALLEST), signals)
+    terms = (*CONSIDERED, *(OF_MOTOR if signals.torque_from == "motor" else ()))
     if linear_only:
         terms = tuple(term for term in terms if TERMS[term].linear)
     # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway.
     # Friction that grows with the load looks like a curve there, but beside a gap it is seen
-    once = set() if signals.motion.repeats else {"drift", "softening", "sheath"}
+    once = set() if signals.motion.repeats else {name for name, term in TERMS.items() if term.repeats}
     terms = tuple(term for term in terms if term not in once)
     # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
-    rarer = () if linear_only else (*RARER, *(name for name, one in TERMS.items() if one.selection == "motor torque"))
+    rarer = () if linear_only else (*RARER, *OF_MOTOR)
     # a motor's torque comes through no cell: what it is late by is the time to its next set-point
-    absent = {"lag"} if signals.torque_from == "motor" else set()
+    absent = {name for name in LATE if not TERMS[name].delays} if signals.torque_from == "motor" else set()
     rarer = tuple(term for term in rarer if term not in terms and term not in absent | once)
     # nobody says that a given torque is the joint's and not the motor's
     late = EARLIER if signals.torque_from == "given" else LATE
@@ -151,8 +150,8 @@ def _turning_smoothly(
     if not alike.fitness(terms) < np.inf:
         return None
     first = alike.candidate(terms)
-    loaded = first.values.get("mu", 0.0) * float(np.mean(np.abs(signals.torque)))
-    little = _OF_FRICTION * (first.values.get("Fc", 0.0) + loaded)
+    loaded = size_of(first.values, "load share") * float(np.mean(np.abs(signals.torque)))
+    little = _OF_FRICTION * (size_of(first.values, "dry friction") + loaded)
     if _are_worse(turning, motion, first.problem.residuals(first.fit), little):
         return None
     found = _select(signals, seen, considered.with_usual(SMOOTH.name))

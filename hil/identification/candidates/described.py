@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
+from ga.model.terms import of_kind
 from ga.model.trajectory import Motion
 from hil.identification.candidates.held import damping_at, of_jerk
 from hil.signals.deflection_noise import smallest_step
@@ -26,19 +27,6 @@ from hil.uncertainty.misfit import Lacking, LackOfFit
 
 Array = NDArray[np.float64]
 
-_OF_EVERY_BENCH = {"tau0": "offset", "drift": "drift", "skew": "skew", "Fc": "coulomb"}  # parameter and effect
-_TERMS = {  # parameters of terms that leave nothing of these effects: a Maxwell branch may leave another
-    **_OF_EVERY_BENCH,
-    "lag": "sensor-lag",
-    "J": "inertia",
-    "mu": "capstan",
-    "B2": "quadratic-damping",
-    "K3": "cubic",
-    "gap": "backlash",
-    "Ka": "asymmetry",
-    "Kp": "asymmetry",
-    "Ks": "stiffness-drift",
-}
 _FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
 _ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
 _MOST = 0.5  # of Kc and Bc, which a small effect leaves
@@ -163,7 +151,7 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
     with friction, which may hold the joint when it starts to move.
     """
     signals, model = described.signals, described.model
-    if not isinstance(model, CouplingModel) or model.sticks or "J" in described.names:
+    if not isinstance(model, CouplingModel) or model.sticks or of_kind(described.names, "moment of inertia"):
         return None
     if signals.rate_known.all() and tested_motion(described) > _MOVES:
         return None
@@ -227,7 +215,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
         (0.0, 0.0) if coupling is None else (float(array[coupling[0]]), float(array[coupling[1]]))
         for array in (described.values, described.half_width)
     )
-    skew = names.index("skew") if "skew" in names else None
+    skew = next((names.index(name) for name in of_kind(names, "delay")), None)
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals, columns)], axis=1)
     if described.differing and coupling is not None:
@@ -235,7 +223,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
     columns = np.concatenate([columns, *_of_jumps(described, motion, residuals, columns)], axis=1)
     kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
-    included = frozenset(code for name, code in _TERMS.items() if name in names)
+    included = frozenset(one.code for one in EFFECTS if one.is_in(names))
     return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
 
 
@@ -258,9 +246,9 @@ def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, 
 
     columns (n, p): those of the fitted model.
     """
-    model, lacking = recorded.torque - residuals, set(_OF_EVERY_BENCH).difference(described.names)
-    codes = {code for name, code in _OF_EVERY_BENCH.items() if name in lacking}
-    found = [column for one in EFFECTS if one.code in codes for column in one.signature(recorded, model)]
+    model = recorded.torque - residuals
+    of_bench = (one for one in EFFECTS if any(term.bench for term in one.terms))
+    found = [column for one in of_bench if not one.is_in(described.names) for column in one.signature(recorded, model)]
     return [one for one in found if _is_small(described, residuals, columns, one)]
 
 

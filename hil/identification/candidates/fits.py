@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
-from ga.model.terms import TERMS, canonical
+from ga.model.terms import TERMS, canonical, of_kind, size_of
 from ga.model.trajectory import Motion
 from hil.signals.rate.windows import Window, is_smooth
 
 Array = NDArray[np.float64]
 
-LATE = ("skew", "lag")
+LATE = tuple(name for name, one in TERMS.items() if one.delays or of_kind((p.name for p in one.parameters), "lag time"))
 """The terms that delay the torque reading."""
 
 FOLDS = 10
@@ -123,29 +123,26 @@ class Candidate:
         """
         values = self.values
         at_zero = any(parameter.positive and values[parameter.name] <= 0.0 for parameter in TERMS[term].parameters)
-        early = term in LATE and "lag" in values and values.get("skew", 0.0) < 0.0
-        return at_zero or early or self.is_stop(term) or self.is_in_errors(term)
+        early = term in LATE and of_kind(values, "lag time") and size_of(values, "delay") < 0.0
+        return at_zero or bool(early) or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
         """Return whether the motion reaches beyond a gap by no more than the errors of the outermost readings.
 
         If the joint rests there, a gap fits the errors of the readings at rest; that is no evidence of a gap.
         """
-        if not {"gap", "slack"}.intersection(own(term)):
+        opened, values, readings = TERMS[term].open, self.values, self.problem.motion.dtheta
+        if opened is None:
             return False
-        values, readings = self.values, self.problem.motion.dtheta
-        if "slack" in values:
-            lowest, highest = -np.inf, values["slack"]
-        else:
-            lowest, highest = (values["centre"] + 0.5 * side * values["gap"] for side in (-1.0, 1.0))
+        lowest, highest = opened(np.array([values[name] for name in own(term)]))
         errors = _OUTERMOST * self.error
         return bool(highest - readings.min() < errors or readings.max() - lowest < errors)
 
     def is_stop(self, term: str) -> bool:
         """Return whether the term makes the spring many times stiffer in one direction, as a mechanical stop does."""
-        if term != "asymmetric":
+        if not of_kind(own(term), "side stiffness"):
             return False
-        stiffness, half = self.values["Kc"], abs(self.values["Ka"])
+        stiffness, half = self.values["Kc"], abs(size_of(self.values, "side stiffness"))
         return stiffness + half > _STOP * (stiffness - half)
 
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.terms import size_of
 from ga.model.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -57,4 +58,4 @@ def damping_at(rate: Array, values: Mapping[str, float]) -> Array:
     """Return the slope of the torque over the rate, N m s/rad, at rates (n,), rad/s. values: the model's parameters by
     name.
     """
-    return values.get("Bc", 0.0) + 2.0 * values.get("B2", 0.0) * np.abs(rate)
+    return values.get("Bc", 0.0) + 2.0 * size_of(values, "growth of damping") * np.abs(rate)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel
+from ga.model.effects.springs import SHORTEST_RELAXATION
 from ga.model.polishing import polished
 from ga.model.separable import descend
-from ga.model.springs import SHORTEST_RELAXATION
-from ga.model.terms import is_addable
+from ga.model.terms import is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.candidates.criterion import STRONG, Criterion
 from hil.identification.candidates.fits import LATE, Candidate, Fits, own
@@ -25,11 +25,14 @@ from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
 
-EARLIER: Final = (*LATE, "inertia")
+EARLIER: Final = (*LATE, *of_role("mass"))
 """The terms that can delay the torque reading, or make it seem early."""
 
+_SKEW, _LAG = LATE
+_FILTERS: Final = frozenset(of_role("channel")) - {_SKEW}
+_OTHER_FILTERS: Final = _FILTERS - {_LAG}
 _STIFFEST, _HIDDEN = 2.0, 0.002  # times Kc, what relaxes at most; part of Bc that a late reading hides, which matters
-_BRANCHES = ("maxwell", "maxwell2")  # each needs those before it
+_BRANCHES = of_role("branch")  # each needs those before it
 _CONSTANTS = 12  # of a branch, two an octave
 _DELAYS, _LAGS = 3, 11  # every half tick of each sign, and every half octave
 _NARROW = 4.0  # twice the fall of the logarithmic likelihood at a skew, from which a parabola may end before it
@@ -82,11 +85,11 @@ class LateReading:
         A branch without a parallel damper has the same response as a lag, which has one parameter less.
         """
         branch = _last_branch(chosen.terms)
-        possible = branch and "lag" in self.accounts and is_addable("lag", chosen.terms)
-        other = self._with(_replaced(chosen.terms, branch, "lag")) if possible else None
+        possible = branch and _LAG in self.accounts and is_addable(_LAG, chosen.terms)
+        other = self._with(_replaced(chosen.terms, branch, _LAG)) if possible else None
         if other is None:
             return chosen
-        alike = self.criterion.blurred(other, "lag")
+        alike = self.criterion.blurred(other, _LAG)
         parameter = math.log(max(len(self.fits.torque) / alike, math.e))
         return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
 
@@ -95,14 +98,14 @@ class LateReading:
         model.
         """
         gains = {}
-        others = [one for one in self.accounts if one not in chosen.terms] if "skew" in chosen.terms else []
+        others = [one for one in self.accounts if one not in chosen.terms] if _SKEW in chosen.terms else []
         for one in others:
-            terms = _replaced(chosen.terms, "skew", one)
+            terms = _replaced(chosen.terms, _SKEW, one)
             if self.fits.fitness(terms) < np.inf:
                 other = self.fits.candidate(terms)
                 gains[one] = self._independent(chosen, other, one) if other.is_possible(one) else 0.0
         best = max(gains, key=lambda one: gains[one], default="")
-        return self.fits.candidate(_replaced(chosen.terms, "skew", best)) if gains.get(best, 0.0) > STRONG else chosen
+        return self.fits.candidate(_replaced(chosen.terms, _SKEW, best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
         """Return the models with each cause of delay: a skew, a lag of the cell, both, or an inertia.
@@ -110,8 +113,8 @@ class LateReading:
         The cause replaces the one in the chosen model, if it has one. In slow motion each cause equals a damping: a
         model without a cause may fit well and still have the wrong damping.
         """
-        found = self._others(chosen) if "mean" not in chosen.terms else []
-        both = [(one, term) for one in (chosen, *found) for term in (*EARLIER, "maxwell") if term in one.terms]
+        found = self._others(chosen) if not _OTHER_FILTERS.intersection(chosen.terms) else []
+        both = [(one, term) for one in (chosen, *found) for term in (*EARLIER, *_BRANCHES[:1]) if term in one.terms]
         alike = max((self.criterion.blurred(one, term) for one, term in both), default=1.0)
         return tuple(
             Alternative(one.anchored, one.fit.nonlinear, self._akaike(chosen, one, alike))
@@ -126,16 +129,16 @@ class LateReading:
         skew longer. With the fitted skew s and its standard error e, twice the log likelihood of this model is higher
         than without a skew by the part of s^2/e^2 that a skew of size p explains.
         """
-        others = tuple(term for term in chosen.terms if term != "skew")
-        if len(others) == len(chosen.terms) or {"lag", "mean"}.intersection(others):
+        others = tuple(term for term in chosen.terms if term != _SKEW)
+        if len(others) == len(chosen.terms) or _FILTERS.intersection(others):
             return ()
         without = self._with(others)
         if without is None:
             return ()
-        square = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, "skew")
+        square = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, _SKEW)
         if not square > 0.0:
             return ()
-        found, usual = chosen.values["skew"], TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
+        found, usual = size_of(chosen.values, "delay"), TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
         error = abs(found) / math.sqrt(square)
         criterion = found**2 / (error**2 + usual**2) + math.log1p((usual / error) ** 2) - AKAIKE - _RARE
         return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
@@ -159,15 +162,15 @@ class LateReading:
 
     def _late(self, chosen: Candidate) -> Iterator[Lateness]:
         """Yield Kc and Bc for each likely delay, lag and drive. chosen: a model without a skew."""
-        if {*LATE, "mean"}.intersection(chosen.terms):
+        if set(of_role("channel")).intersection(chosen.terms):
             return
         longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         delays = longest * np.arange(1, _DELAYS + 1) / _DELAYS
         lags = 0.5 / math.pi / np.geomspace(CELLS[1], CELLS[0], _LAGS)
-        likely = (("skew", delays, 2 * _DELAYS), ("skew", -delays, 2 * _DELAYS), ("lag", lags, _LAGS))
+        likely = ((_SKEW, delays, 2 * _DELAYS), (_SKEW, -delays, 2 * _DELAYS), (_LAG, lags, _LAGS))
         possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
         if possible:
-            rare = _APART if "inertia" in chosen.terms else _RARE
+            rare = _APART if of_kind(chosen.values, "moment of inertia") else _RARE
             usual = rare + self._with_usual_skew(chosen)
             for term, times, many in possible:
                 yield from self._late_by(chosen, term, times, usual + 2.0 * math.log(many))
@@ -178,10 +181,10 @@ class LateReading:
 
         One bench in ten has held set-points, and one in ten a skew.
         """
-        others = tuple(term for term in chosen.terms if term != "skew")
+        others = tuple(term for term in chosen.terms if term != _SKEW)
         without = self._with(others) if len(others) < len(chosen.terms) else None
-        if without is not None and not {"lag", "mean"}.intersection(others):
-            lost = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, "skew")
+        if without is not None and not _FILTERS.intersection(others):
+            lost = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, _SKEW)
             yield from self._behind_any_drive(without, lost - AKAIKE)
 
     def _behind_any_drive(self, fitted: Candidate, rare: float) -> Iterator[Lateness]:
@@ -190,10 +193,10 @@ class LateReading:
         fitted: the model without a skew. rare: twice the log odds against any of the drives. The rate error behind a
         drive looks like a delay of a few hundredths of a tick, and in slow motion like less damping.
         """
-        if "skew" not in self.accounts or "inertia" in fitted.terms or not fitted.damping > 0.0:
+        if _SKEW not in self.accounts or of_kind(fitted.values, "moment of inertia") or not fitted.damping > 0.0:
             return
         columns, target = fitted.problem.linearised(fitted.fit)
-        damping, blurred = self._damping(fitted), self.criterion.blurred(fitted, "linear")
+        damping, blurred = self._damping(fitted), self.criterion.blurred(fitted, *of_role("coupling"))
         before, rare = fitted.damping, rare + 2.0 * math.log(len(DRIVES))
         for frequency in DRIVES:
             if (off := taken_off(self.fits.motion, frequency)) is None:
@@ -222,15 +225,15 @@ class LateReading:
         sign. The size of the skew is that of an ordinary recorder first, and then a shorter one if the data determine
         it much better.
         """
-        usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, "skew")
-        if "skew" not in self.accounts or not is_addable("skew", chosen.terms):
+        usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, _SKEW)
+        if _SKEW not in self.accounts or not is_addable(_SKEW, chosen.terms):
             return 0.0
         skew, bend = usual, _NARROW
         for _ in range(2):
             skew *= math.sqrt(_NARROW / max(bend, _NARROW))
             early, late = (self.fits.with_value(terms, chosen, sign * skew) for sign in (-1.0, 1.0))
             less, more = (self.criterion.ratio(chosen, one) for one in (early, late))
-            blurred = self.criterion.blurred(late, "skew")
+            blurred = self.criterion.blurred(late, _SKEW)
             slope, bend = 0.5 * (more - less) / blurred, max(0.0, -0.5 * (more + less) / blurred)
         share = (usual / skew) ** 2  # of the usual skew's variance in that of the one tried
         return float(0.25 * slope**2 / (bend + 1.0 / share) - math.log1p(bend * share))
@@ -304,7 +307,7 @@ class LateReading:
 
         A skew adds no such errors, so without this correction a skew would fit better even if there is an inertia.
         """
-        errors = one.values.get("J", 0.0) * self.fits.errors[2]
+        errors = size_of(one.values, "moment of inertia") * self.fits.errors[2]
         left = one.fit.fitness**2 - 2.0 / math.pi * errors**2
         return max(math.sqrt(max(left, 0.0)), min(least, one.fit.fitness))
 
@@ -318,9 +321,9 @@ class LateReading:
         without a parallel damper: it would equal a lag.
         """
         others = tuple(term for term in chosen.terms if term not in LATE)
-        late = sum(abs(chosen.values.get(term, 0.0)) for term in LATE)
+        late = sum(abs(chosen.values[name]) for name in of_kind(chosen.values, "delay", "lag time"))
         term = next((term for term in _BRANCHES if is_addable(term, others)), "")
-        if not term or "mean" in others or not chosen.damping > 0.0:
+        if not term or _OTHER_FILTERS.intersection(others) or not chosen.damping > 0.0:
             return
         if late * chosen.stiffness < _HIDDEN * chosen.damping:
             return

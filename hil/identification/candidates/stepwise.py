@@ -315,7 +315,7 @@ class _Steps:
 def _smallest(terms: tuple[str, ...]) -> tuple[str, ...]:
     """Return the terms of the smallest model that are among the given terms."""
     smallest = [name for name, term in TERMS.items() if term.selection == "smallest"]
-    return tuple(name for name in smallest if name == "linear" or name in terms)
+    return tuple(name for name in smallest if TERMS[name].role == "coupling" or name in terms)
 
 
 def _likeliest(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:

@@ -11,17 +11,19 @@ count from the unloaded deflection, so that Kc does not depend on an angle added
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.polynomial import Legendre, Polynomial
+from numpy.polynomial import Legendre
 from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
-from ga.model.springs import risen
+from ga.model.record import Regressors, Term
+from ga.model.terms import of_kind, size_of
+from ga.model.trajectory import Motion
 from hil.identification.coupling import Coupling
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
@@ -60,19 +62,19 @@ class Unloaded:
     high: float = 0.0
     agreed: bool = True
 
-    def span(self, values: Mapping[str, float]) -> Span | None:
-        """Return the smallest and the largest Kc, N m/rad, of a model with these values, SI, by name.
+    def span(self, values: Mapping[str, float], terms: Iterable[Term]) -> Span | None:
+        """Return the smallest and the largest Kc, N m/rad, of a model of these terms with these values, SI, by name.
 
         None for a spring that does not curve, for a model with an unloaded deflection of its own, and if that
         deflection is known.
         """
-        curves = [values.get(name, 0.0) for name in ("Kp", "Kh", "K3", "K5")]
-        if not any(curves) or self.low == self.high == 0.0 or {"gap", "slack", "rest"} & set(values):
+        if self.low == self.high == 0.0 or of_kind(values, "gap width", "slack end", "unloaded place"):
             return None
-        progressive, hardening, cubic, quintic = curves
-        slope, exponent = Polynomial([values["Kc"], 0.0, 3.0 * cubic, 0.0, 5.0 * quintic]), values.get("exponent", 0.0)
         place = np.append(np.linspace(self.low, self.high, 101), min(max(self.low, 0.0), self.high))
-        found = slope(place) + 2.0 * (progressive * risen(place, exponent) + hardening * risen(np.abs(place), exponent))
+        rise = sum((_stiffening(term, values, place) for term in terms if term.role == "curve"), np.zeros(len(place)))
+        if not rise.any():
+            return None
+        found = values["Kc"] + rise
         return float(found.min()), float(found.max()), "" if self.agreed else UNLOADED_PLACE
 
     def beside_turn(self, values: Mapping[str, float], motion: float) -> Span | None:
@@ -83,13 +85,24 @@ class Unloaded:
         other springs, and if the unloaded deflection is unknown. values: see `span`. motion: the range of the
         deflection, rad.
         """
-        if not {"Ka", "turn"} <= set(values) or not self.agreed:
+        turns = of_kind(values, "side place")
+        if not turns or not self.agreed:
             return None
-        nearest = min(max(values["turn"], self.low), self.high)
-        if abs(values["turn"] - nearest) <= _NEAR * motion:
+        turn, half = values[turns[0]], abs(size_of(values, "side stiffness"))
+        if abs(turn - min(max(turn, self.low), self.high)) <= _NEAR * motion:
             return None
-        half = abs(values["Ka"])
         return values["Kc"] - half, values["Kc"] + half, DEFLECTION
+
+
+def _stiffening(term: Term, values: Mapping[str, float], place: Array) -> Array:
+    """Return the stiffness (k,), N m/rad, that a curve adds to Kc at deflections (k,), rad."""
+    if term.pushed is None:
+        return np.zeros(len(place))
+    own = [np.array([values[one.name] for one in term.parameters if one.nonlinear is kind]) for kind in (False, True)]
+    ones, still = np.ones(len(place)), np.zeros(len(place))
+    motion = Motion(np.arange(len(place), dtype=np.float64), place, still, still, still)
+    seen = Regressors(motion.time, motion, place, ones, None, damped=True, smoothing=0.0, middle=0.0, own=own[1])
+    return term.pushed(seen, own[0], ones)
 
 
 Rest = Callable[[Signals], Unloaded]
@@ -104,9 +117,9 @@ def rest_for(model: Coupling | None) -> Rest:
     """
     if model is None:
         return unloaded
-    if not model.linear or {"centre", "slack"} & {parameter.name for parameter in model.nonlinear}:
+    if not model.linear or of_kind((parameter.name for parameter in model.nonlinear), "gap middle", "slack end"):
         return lambda _signals: Unloaded()
-    return partial(unloaded, balanced="tau0" not in {parameter.name for parameter in model.linear})
+    return partial(unloaded, balanced=not of_kind((parameter.name for parameter in model.linear), "torque at rest"))
 
 
 def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ga.model.coupling import CouplingModel
-from ga.model.terms import CONSIDERED, PARAMETERS, TERMS
+from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, of_kind, size_of
 from hil.identification.candidates.choice import Choice
 from hil.identification.candidates.late import Alternative
 from hil.identification.mixture.deflection import read_with_errors
@@ -77,7 +77,7 @@ def averaged(
     }
     selected = Alternative(choice.model, nonlinear, 0.0)
     own = dict(zip((one.name for one in choice.model.nonlinear), nonlinear.tolist(), strict=True))
-    seems_filtered = own.get("skew", 0.0) < 0.0 and signals.torque_from == "given"
+    seems_filtered = size_of(own, "delay") < 0.0 and signals.torque_from == "given"
     found, criteria = [], []
 
     def of_selected(larger: Largest) -> Array:
@@ -124,7 +124,7 @@ def _behind_filter(
     Inertia and filter give the same torque (`damping_behind_filter`), so neither is likelier. Of the two filters that
     explain the inertia, the faster one is used, because the user would know of a slow filter.
     """
-    inertia = own_values(one, data).get("J", 0.0) if "inertia" in one.model.name.split("+") else 0.0
+    inertia = size_of(own_values(one, data), "moment of inertia")
     found = []
     for mean, criterion in around:
         stiff, damped = mean["Kc"], mean["Bc"]
@@ -148,12 +148,13 @@ def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
     branches act as stiffness.
     """
     nonlinear = dict(zip((own.name for own in one.model.nonlinear), one.nonlinear.tolist(), strict=True))
-    late = sum(abs(nonlinear.get(name, 0.0)) for name in ("skew", "lag"))
-    if late == 0.0 or "tau2" not in nonlinear:
+    late = sum(abs(nonlinear[name]) for name in of_kind(nonlinear, "delay", "lag time"))
+    times = sorted(nonlinear[name] for name in of_kind(nonlinear, "relaxation time"))
+    if late == 0.0 or len(times) < 2:
         return float(_RELAXING * stiffness * late)
-    values = own_values(one, data)
-    fast, slow = sorted((nonlinear["tau1"], nonlinear["tau2"]))
-    return float(_FURTHER * late * (stiffness + values["K1"] + values["K2"] + values["Bc"] * slow / fast**2))
+    values, (fast, slow) = own_values(one, data), times[:2]
+    stiffest = stiffness + size_of(values, "relaxing stiffness")
+    return float(_FURTHER * late * (stiffest + values["Bc"] * slow / fast**2))
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
@@ -251,7 +252,7 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         {at: costs[name] for at, name in enumerate(names) if name in costs},
         # the model's own terms were found possible without what is added: a skew beside an inertia takes it over, and
         # the inertia is then zero
-        [at for at, name in enumerate(names) if name in costs and _is_positive(name)],
+        [at for at, name in enumerate(names) if name in costs and name in PARAMETERS and PARAMETERS[name].positive],
         largest.likely,
         bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
         seldom=[names.index(name) for name in largest.seldom],
@@ -263,11 +264,6 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         for at, name in enumerate(names)
         if name in COUPLING
     }
-
-
-def _is_positive(name: str) -> bool:
-    """Return whether a parameter of this name cannot be negative; a nuisance parameter can."""
-    return name in PARAMETERS and PARAMETERS[name].positive
 
 
 def _is_doubtful(step: Step) -> bool:

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
-from ga.model.friction import SMOOTH
 from ga.model.separable import Problem
 from ga.model.sticking import slowest
-from ga.model.terms import PARAMETERS, TERMS, is_addable
+from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
+from hil.identification.candidates.fits import own
 from hil.identification.candidates.late import Alternative
 from hil.identification.fitting.jumps import rate_beside_jumps
 from hil.signals.prepare import Signals
@@ -32,17 +32,11 @@ from hil.uncertainty.model_average import AKAIKE, SELDOM
 
 Array = NDArray[np.float64]
 
-_ALWAYS = ("offset", "skew")
-BENCH = (*_ALWAYS, "drift", "coulomb")  # effects that every bench has
-_RARE_CURVES = ("hardening",)  # this one has a kink where the joint is unloaded
-_CURVES = ("cubic", "quintic", "progressive", *_RARE_CURVES)  # a spring has no more reason to follow one of the first
-_EXPONENTIAL = ("exponential", "toe")  # these have all powers of the deflection already
+_ALWAYS = tuple(name for name, term in TERMS.items() if term.bench == "always")
+BENCH = (*_ALWAYS, *(name for name, term in TERMS.items() if term.bench == "small"))  # effects that every bench has
+_CURVES = tuple(name for name in of_role("curve") if TERMS[name].linear)  # a spring has no more reason to follow one
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
-_SEVENTH = "seventh"  # another, of the next power of the deflection beside K5
-_CUBED = "cubed"  # another, of the cube of the deflection beside an exponential
-_ROOTED = "rooted"  # another, of friction that turns as a root of the rate in place of a tanh
-_SLOW = 1e-4  # rate over vr, below which both are in proportion to it
-_SHAPES = (_SEVENTH, _CUBED, _ROOTED)
+_DEVIATING = "deviation of "  # before the name of a term: another, of what departs from its law
 _SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
 
 
@@ -67,7 +61,7 @@ class Largest:
     @property
     def added_names(self) -> list[str]:
         """Return the names of the parameters of the added terms."""
-        return [name for term in self.added for name in _own(term)]
+        return [name for term in self.added for name in own(term)]
 
     def costs(self, doubtful: Mapping[str, float]) -> dict[str, float]:
         """Return the cost of each parameter that a model may lack: the parameters of the added terms and of the
@@ -78,14 +72,14 @@ class Largest:
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
-        found |= {term: found[term] + SELDOM for term in _RARE_CURVES if term in found}
-        costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in _own(term)}
-        return costs | {name: AKAIKE for name in _SHAPES if name in self.names}
+        found |= {term: cost + SELDOM for term, cost in found.items() if TERMS[term].seldom}
+        costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in own(term)}
+        return costs | {name: AKAIKE for name in self.names if name.startswith(_DEVIATING)}
 
     @property
     def seldom(self) -> list[str]:
         """Return the names of those added parameters that only one joint in ten has."""
-        return [name for term in _RARE_CURVES if term in self.added for name in _own(term)]
+        return [name for term in self.added if TERMS[term].seldom for name in own(term)]
 
 
 def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
@@ -96,10 +90,11 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
     """
     chosen = smaller.model.name.split("+")
     added: list[str] = []
-    curves = _CURVES if {*_CURVES, *_EXPONENTIAL, "asymmetric"}.intersection(chosen) else ()
-    hidden = {"coulomb"} if slowest(data.motion) == 0.0 else set()  # its sign would be that of the rate's noise
-    # a short lag differs from a skew by less than what estimates both at once
-    hidden |= {"skew"} if "lag" in chosen else set()
+    curves = _CURVES if set(of_role("curve")).intersection(chosen) else ()
+    unseen = slowest(data.motion) == 0.0  # the sign of friction would be that of the rate's noise
+    # a short lag differs from a delay by less than what estimates both at once
+    lags = any(of_kind(own(term), "lag time") for term in chosen)
+    hidden = {name for name, one in TERMS.items() if (unseen and one.sticks) or (lags and one.delays)}
     for term in (*BENCH, *doubtful, *curves):
         added += [term] if is_addable(term, (*chosen, *added)) and term not in hidden else []
     start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
@@ -111,38 +106,37 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
             fit = problem.solve(np.array([start[p.name] for p in larger.nonlinear], dtype=np.float64))
             names = [parameter.name for parameter in larger.parameters]
             columns, target = problem.linearised(fit)
-            for name, column in _nuisances(chosen, names, columns, fit.values, data.motion):
+            for name, column in _nuisances(larger, chosen, columns, fit.values, data.motion):
                 names, columns = [*names, name], np.column_stack([columns, column])
             first = np.append(fit.values, np.zeros(len(names) - len(fit.values)))
             values = least_absolute_deviations(columns, target, first).genes
         except RuntimeError:  # some columns are dependent
             return None
         sampling = covariance(Blocks.of(columns, target), values)
-        alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in _own(term))]
+        alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in own(term))]
         if not alike:
-            likely = _likely(names, data.motion, usual_skew="skew" in added or smaller.usual_skew)
+            usual_skew = smaller.usual_skew or any(TERMS[term].delays for term in added)
+            likely = _likely(names, data.motion, usual_skew=usual_skew)
             sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
 
 
 def _nuisances(
-    chosen: Sequence[str], names: list[str], columns: Array, values: Array, motion: Motion
+    model: CouplingModel, chosen: Sequence[str], columns: Array, values: Array, motion: Motion
 ) -> Iterator[tuple[str, Array]]:
     """Yield the columns (n,) of effects that no term of the model follows exactly, each with its name.
 
-    chosen: the terms of the model. names, columns (n, p), values (p,): the parameters of the model.
+    chosen: the terms that were selected. columns (n, p), values (p,): of the parameters of the model.
     """
-    own = dict(zip(names, values.tolist(), strict=True))
-    if (building := _building_up(own, motion)) is not None:
+    own = dict(zip(model.parameters, values.tolist(), strict=True))
+    named = {parameter.name: value for parameter, value in own.items()}
+    if (building := _building_up(named, motion)) is not None:
         yield _PRESLIDING, building
-    if "quintic" in chosen:  # what a cubic does not describe follows no power exactly
-        yield _SEVENTH, columns[:, names.index("K5")] * motion.dtheta**2
-    if set(_EXPONENTIAL).intersection(chosen):
-        yield _CUBED, columns[:, names.index("Kc")] * motion.dtheta**2
-    if SMOOTH.name in chosen:
-        rubs = [at for at, name in enumerate(names) if PARAMETERS[name].friction]
-        yield _ROOTED, columns[:, rubs] @ values[rubs] * _rooted(own, motion)
+    each, seen = dict(zip(model.parameters, columns.T, strict=True)), motion.delayed(size_of(named, "delay"))
+    for term in model.terms:
+        if term.deviation is not None and term.name in chosen:
+            yield f"{_DEVIATING}{term.name}", term.deviation(seen, each, own)
 
 
 def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
@@ -163,7 +157,8 @@ def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
     """
     likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
     if usual_skew:
-        likely[1, names.index("skew")] = TICK_SHARE * float(np.median(np.diff(motion.time)))
+        (skew,) = of_kind(names, "delay")
+        likely[1, names.index(skew)] = TICK_SHARE * float(np.median(np.diff(motion.time)))
     if _PRESLIDING in names:
         likely[:, names.index(_PRESLIDING)] = 1.0
     return likely
@@ -176,24 +171,13 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     values: the parameters of the model by name. None if the model has no Coulomb friction, if the friction builds up
     too fast to be visible, or if friction reverses smoothly.
     """
-    friction, stiffness = values.get("Fc", 0.0), values["Kc"]
-    if friction <= 0.0 or stiffness <= 0.0 or "vr" in values:
+    friction, stiffness = size_of(values, "dry friction"), values["Kc"]
+    if friction <= 0.0 or stiffness <= 0.0 or of_kind(values, "turning rate"):
         return None
     whole, rows = motion.whole
-    seen = whole.delayed(values.get("skew", 0.0))
+    seen = whole.delayed(size_of(values, "delay"))
     found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
     return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
-
-
-def _rooted(values: Mapping[str, float], motion: Motion) -> Array:
-    """Return the torque (n,) of friction of the form v/sqrt(v^2 + vr^2), less the torque of friction of the form
-    tanh(v/vr).
-
-    values: the parameters of the model by name.
-    """
-    turned = motion.delayed(values.get("skew", 0.0)).dtheta_dot / values["vr"]
-    turned = np.maximum(np.abs(turned), _SLOW)
-    return np.asarray(turned / np.hypot(1.0, turned) / np.tanh(turned) - 1.0)
 
 
 def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
@@ -205,7 +189,8 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     """
     own = own_values(smaller, data)
     names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING, *_SHAPES) if name in names]
+    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING) if name in names]
+    added += [at for at, name in enumerate(names) if name.startswith(_DEVIATING)]
     if not added:
         return True
     gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)
@@ -221,7 +206,3 @@ def own_values(one: Alternative, data: Signals) -> dict[str, float]:
     bounds = one.model.bounds(data.motion, data.band[1])
     values = Problem(one.model, data.motion, data.torque, *bounds).solve(one.nonlinear).values.tolist()
     return dict(zip((parameter.name for parameter in one.model.linear), values, strict=False))
-
-
-def _own(term: str) -> tuple[str, ...]:
-    return tuple(parameter.name for parameter in TERMS[term].parameters)

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
-from ga.model.friction import felt
-from ga.model.hysteresis import REACHES
+from ga.model.effects.friction import felt
+from ga.model.effects.hysteresis import REACHES
 from ga.model.memory import falls
-from ga.model.terms import PARAMETERS, is_addable
+from ga.model.terms import PARAMETERS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
 from hil.identification.candidates.criterion import by_rate, density_at_zero
 from hil.identification.candidates.late import Alternative
@@ -42,7 +42,6 @@ from hil.uncertainty.model_average import SELDOM, without_positive
 Array = NDArray[np.float64]
 
 _FALLS_OVER = (0.25, 0.35, 0.5, 0.7, 1.0)  # of the rate of which damping is felt: over much less, a fall is no damping
-_FALLING = ("Fs", "rise")  # parameters of a model that has it
 _RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard deviation
 _SMALL = 0.1  # of the same: what is in proportion to it
 _GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is felt: a standard deviation
@@ -54,19 +53,19 @@ def falling(largest: Largest, motion: Motion) -> list[tuple[Largest, float]]:
     [] if the selected model has no friction, or already has friction that falls.
     """
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
-    rubs = [name for name in values if _rubs(name)]
-    if not set(rubs).difference(largest.added_names) or set(rubs) & set(_FALLING):
+    rubs = [name for name in values if name in PARAMETERS and PARAMETERS[name].friction]  # not those of nuisances
+    if not set(rubs).difference(largest.added_names) or of_kind(rubs, "fall of friction"):
         return []
     found = []
     whole, rows = motion.whole
-    seen = whole.delayed(values.get("skew", 0.0))
+    seen, builds_up = whole.delayed(size_of(values, "delay")), of_kind(values, "presliding friction")
     friction = sum(values[name] * largest.columns[:, largest.names.index(name)] for name in rubs)
     # the fit is linearised, and may lie beyond the bounds
-    reach = max(values.get("reach", 0.0), REACHES[0] * float(np.ptp(motion.dtheta)))
+    reach = max(size_of(values, "presliding length"), REACHES[0] * float(np.ptp(motion.dtheta)))
     for over in (part * felt(motion.dtheta_dot) for part in _FALLS_OVER):
-        if "Fd" in values:
+        if builds_up:
             more = seen.bristles(reach, _SMALL, over) - seen.presliding(reach)
-            column = values["Fd"] / _SMALL * more[rows]
+            column = size_of(values, "presliding friction") / _SMALL * more[rows]
         else:
             column = friction * falls(seen.dtheta_dot, over)[rows]
         found += [(one, max(more, 0.0) + 2.0 * math.log(len(_FALLS_OVER))) for one, more in _fallen(largest, column)]
@@ -88,13 +87,15 @@ def growing(
     damping.
     """
     terms, usual = smaller.model.name.split("+"), felt(data.motion.dtheta_dot)
+    (grows,) = of_role("damping")
     damping = float(largest.values[largest.names.index("Bc")])
-    if not is_addable("quadratic", terms) or damping <= 0.0 or usual == 0.0:
+    if not is_addable(grows, terms) or damping <= 0.0 or usual == 0.0:
         return []
-    grown = largest_model(replace(smaller, model=parse("+".join((*terms, "quadratic")))), doubtful, data)
+    grown = largest_model(replace(smaller, model=parse("+".join((*terms, grows)))), doubtful, data)
     if grown is None:
         return []
-    grown = _with_last(replace(grown, values=grown.values + by_errors(grown)), "B2")
+    (growth,) = of_kind(grown.names, "growth of damping")
+    grown = _with_last(replace(grown, values=grown.values + by_errors(grown)), growth)
     found = _marginal(grown, _GROWTH * damping / usual)
     return [(replace(one, model=largest.model), max(more + SELDOM, 0.0)) for one, more in found]
 
@@ -164,10 +165,3 @@ def _blurred(columns: Array, values: Array, target: Array) -> float:
     """
     density = density_at_zero(target - columns @ values, 0.5 * smallest_step(target))
     return 1.0 + by_rate(len(target), density, float(np.mean(np.abs(target))))
-
-
-def _rubs(name: str) -> bool:
-    """Return whether `name` is the name of a friction parameter of the model; names of added nuisance effects are
-    not.
-    """
-    return name in PARAMETERS and PARAMETERS[name].friction

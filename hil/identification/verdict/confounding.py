@@ -4,21 +4,21 @@ reading.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.record import FRICTION
 from ga.model.sticking import is_hidden, looks_like_spring
+from ga.model.terms import TERMS, of_kind, of_role, size_of
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.criterion import WORSE, predicts_better
-from hil.identification.candidates.fits import Fits
+from hil.identification.candidates.fits import LATE, Fits
 from hil.identification.candidates.late import EARLIER
 from hil.identification.verdict.evidence import Evidence
 from hil.uncertainty.criteria import (
-    FRICTION,
     LITTLE_FRICTION,
     LONGEST_SKEW,
+    MUCH_FRICTION,
     PLAY,
     TICK_SHARE,
     dampings_behind_filter,
@@ -27,10 +27,6 @@ from hil.uncertainty.criteria import (
 Array = NDArray[np.float64]
 
 _OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
-_FRICTION = ("Fc", "Fd", "Fy")  # N m, of which a model has one
-CURVES = {"cubic", "quintic", "progressive", "hardening", "exponential", "toe", "asymmetric"}
-"""The terms of a spring whose stiffness depends on the deflection."""
-
 _EARLY, _A_LITTLE_EARLY = 2.0, 0.5  # times what recorders are late or early by, from which an early reading is doubted
 _NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not the one that holds the joint
 
@@ -49,9 +45,9 @@ def confounded(evidence: Evidence) -> list[Diagnostic]:
 
 def _inertia(evidence: Evidence) -> list[Diagnostic]:
     """Return the warning that the joint's torque contains an inertia."""
-    if "J" not in evidence.names or evidence.signals.torque_from == "motor":
+    inertia = evidence.size_of("moment of inertia")
+    if inertia is None or evidence.signals.torque_from == "motor":
         return []
-    inertia = float(evidence.values[evidence.names.index("J")])
     text = (
         f"the torque includes an inertia of {inertia:.2g} kg m^2, so it is likely the motor's torque and not the "
         "joint's. The model has a term for the inertia, so Kc is not affected. If it is the motor's, "
@@ -75,9 +71,10 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
     [] if the torque is the motor's, because the inertia is then expected.
     """
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
-    if not {"Kc", "Bc", "J"} <= set(values) or evidence.signals.torque_from == "motor" or values["J"] <= 0.0:
+    inertia = size_of(values, "moment of inertia")
+    if not {"Kc", "Bc"} <= set(values) or evidence.signals.torque_from == "motor" or inertia <= 0.0:
         return []
-    stiffness, damping, inertia = values["Kc"], values["Bc"], values["J"]
+    stiffness, damping = values["Kc"], values["Bc"]
     most = damping + float(evidence.errors.half_width[evidence.names.index("Bc")])
     if not 0.0 < 4.0 * stiffness * inertia <= most**2:
         return []
@@ -100,7 +97,7 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
     select one of them.
     """
     motion, selected = evidence.signals.motion, evidence.selected
-    if not selected and ("J" in evidence.names or evidence.signals.torque_from != "given"):
+    if not selected and (of_kind(evidence.names, "moment of inertia") or evidence.signals.torque_from != "given"):
         return []
     if not motion.has_one_frequency:
         return []
@@ -122,17 +119,18 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     motion friction looks nearly like the torque of a spring that curves.
     """
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
-    terms = set(evidence.model.name.split("+"))
+    curves = set(of_role("curve")).intersection(evidence.model.name.split("+"))
     # in ticks of the recorder: a slow cell is late, and never early, by its own pace
-    early = -values.get("skew", 0.0) / (TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
+    early = -size_of(values, "delay") / (TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
     if not evidence.selected or _least_friction(evidence) > _NEXT_TO_NONE * _loaded(evidence):
         return []
-    accelerates = "J" in values or early > _A_LITTLE_EARLY
-    if (terms & CURVES or early > _EARLY) and looks_like_spring(motion):
-        other = "a spring that curves" if terms & CURVES else "a torque that is read before the angle"
+    has_inertia = bool(of_kind(values, "moment of inertia"))
+    accelerates = has_inertia or early > _A_LITTLE_EARLY
+    if (curves or early > _EARLY) and looks_like_spring(motion):
+        other = "a spring that curves" if curves else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
     elif is_hidden(motion, inertia=accelerates):
-        third = "inertia" if "J" in values else "an earlier reading"
+        third = "inertia" if has_inertia else "an earlier reading"
         parts = f"stiffness, damping and {third}" if accelerates else "stiffness and damping"
         fits = f"has the torque of more {parts}, in this motion at every sample"
     else:
@@ -141,7 +139,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     known = f". If you know that there is no friction, name --model {evidence.model.name}"
     text = (
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
-        f"it there {fits}. Kc and Bc may be wrong. {smooth}{'' if {*_FRICTION, 'mu'} & set(values) else known}"
+        f"it there {fits}. Kc and Bc may be wrong. {smooth}{'' if of_kind(values, *FRICTION, 'load share') else known}"
     )
     return [Diagnostic("friction-at-rest", text, is_error=True)]
 
@@ -149,9 +147,10 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
     """Return the warning if most of the torque is friction, or if most of the motion is play."""
     values = dict(zip(evidence.names, evidence.values.tolist(), strict=True))
-    torque, angle, friction = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta), _friction(values)
-    gap, causes, times = values.get("gap", 0.0), [], 1.0
-    if friction > FRICTION * torque:
+    torque, angle = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta)
+    friction = max((abs(values[name]) for name in of_kind(values, *FRICTION)), default=0.0)
+    gap, causes, times = size_of(values, "gap width"), [], 1.0
+    if friction > MUCH_FRICTION * torque:
         causes.append(f"friction takes {friction:.2g} N m of the {torque:.2g} N m of torque")
         times = friction / (LITTLE_FRICTION * torque)
     if 0.5 * gap > PLAY * angle:
@@ -166,21 +165,14 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
     return [Diagnostic("little-load", text, "Kc")]
 
 
-def _friction(values: Mapping[str, float]) -> float:
-    """Return the friction, N m, of a model with these parameters (SI, by name); zero if the model has no friction
-    term.
-    """
-    return max((abs(values[name]) for name in _FRICTION if name in values), default=0.0)
-
-
 def _least_friction(evidence: Evidence) -> float:
     """Return the lower end of the interval of the friction, N m; zero if the model has no friction term.
 
     For friction in proportion to the torque, the value at the largest torque is used.
     """
-    ends = zip(evidence.names, np.abs(evidence.values) - evidence.errors.half_width, strict=True)
-    sizes = {**dict.fromkeys(_FRICTION, 1.0), "mu": _loaded(evidence)}
-    return max((float(least) * sizes[name] for name, least in ends if name in sizes), default=0.0)
+    least = dict(zip(evidence.names, (np.abs(evidence.values) - evidence.errors.half_width).tolist(), strict=True))
+    sizes = [least[name] for name in of_kind(least, *FRICTION)]
+    return max((*sizes, *(least[name] * _loaded(evidence) for name in of_kind(least, "load share"))), default=0.0)
 
 
 def _loaded(evidence: Evidence) -> float:
@@ -196,11 +188,12 @@ def _middle_of(values: Array) -> float:
 
 def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
     """Return the warning if the skew is too long for one recorder, or is the effect of a filter."""
-    if "window" in evidence.names:
-        return [_filtered(evidence)]
-    if "skew" not in evidence.names:
+    window, skew = evidence.size_of("mean time"), evidence.size_of("delay")
+    if window is not None:
+        return [_filtered(evidence, window, skew or 0.0)]
+    if skew is None:
         return []
-    skew = float(evidence.values[evidence.names.index("skew")])
+    delay, lag = LATE
     ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
     if ticks <= LONGEST_SKEW:
         return []
@@ -208,7 +201,7 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
         f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
         f"reading, {ticks:.3g} ticks. One recorder reads both within one tick, so the cause may be a filter of the "
         "torque cell, a slow cell or an inertia. Bc is wrong then. "
-        f"Try --model {evidence.model.name.replace('skew', 'lag')}, or compare the filters of the two sensors"
+        f"Try --model {evidence.model.name.replace(delay, lag)}, or compare the filters of the two sensors"
     )
     # the average over models includes the other causes; a named model does not
     return [Diagnostic("skew-implausible", text, "Bc", is_error=not (evidence.selected or _is_distinct(evidence)))]
@@ -218,22 +211,18 @@ def _is_distinct(evidence: Evidence) -> bool:
     """Return whether the named model predicts held-out blocks clearly better than with another cause of its skew."""
     signals, terms = evidence.signals, tuple(evidence.model.name.split("+"))
     fits = Fits(signals.motion, signals.torque, signals.band[1], signals.window)
-    others = [tuple(cause if term == "skew" else term for term in terms) for cause in EARLIER if cause not in terms]
+    others = [tuple(cause if TERMS[term].delays else term for term in terms) for cause in EARLIER if cause not in terms]
     others = [one for one in others if fits.fitness(one) < np.inf]
     own = fits.candidate(terms)
     return all(predicts_better(own, fits.candidate(one)) > WORSE for one in others)
 
 
-def _filtered(evidence: Evidence) -> Diagnostic:
-    """Return the diagnostic for a torque that a filter averages: an error, unless the user named the term `mean`.
+def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:
+    """Return the diagnostic for a torque that a filter averages over `window`, s: an error, unless the user named it.
 
     Another filter with the same delay fits nearly as well and gives another Bc (a Butterworth filter of 30 Hz: 8 %
     more).
     """
-    window, late = (
-        float(evidence.values[evidence.names.index(name)]) if name in evidence.names else 0.0
-        for name in ("window", "skew")
-    )
     step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
     known = f". If you know that it is a mean, name --model {evidence.model.name}" if evidence.selected else ""
     return Diagnostic(

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
-from ga.model.record import Parameter
+from ga.model.record import Kind, Parameter
+from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
 from hil.identification.coupling import Coupling
@@ -142,6 +143,10 @@ class Evidence:
         value, half = (float(of[at]) for of in self.unbounded)
         return value if value + half < 0.0 else None
 
+    def size_of(self, kind: Kind) -> float | None:
+        """Return the value of the parameter of this kind; None if the model has none."""
+        return next((float(self.values[self.names.index(name)]) for name in of_kind(self.names, kind)), None)
+
     def at_bound(self, at: int) -> str | None:
         """Return the end of its bounds, "low" or "high", that the exact optimum of a parameter reaches; None for
         neither.
@@ -160,8 +165,9 @@ def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float,
     None if friction adds no stiffness. values: parameters of a model, SI, by name. deflected: the deflection, rad, at
     whose torque proportional friction is computed.
     """
-    length = values.get("reach", values.get("yield", 0.0))
-    force = values.get("Fd", values.get("Fy", 0.0)) + values.get("mu", 0.0) * values.get("Kc", 0.0) * deflected
+    length = size_of(values, "presliding length", "yielding length")
+    force = size_of(values, "presliding friction", "yielding friction")
+    force += size_of(values, "load share") * values.get("Kc", 0.0) * deflected
     return (force / length, length) if length > 0.0 else None
 
 
@@ -173,8 +179,8 @@ def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False
     torque does not count as a stiffness. values: see `sliding`. sliding_only: whether the stiffness before friction
     slides is ignored.
     """
-    before = None if "mu" in values else sliding(values)
-    kc, half = values.get("Kc", 0.0), abs(values.get("Ka", 0.0))
+    before = None if of_kind(values, "load share") else sliding(values)
+    kc, half = values.get("Kc", 0.0), abs(size_of(values, "side stiffness"))
     if before is not None and before[0] > 0.0 and not sliding_only:
         return kc, kc + before[0], "amplitude"
     if kc + half > DIFFERENT * (kc - half):

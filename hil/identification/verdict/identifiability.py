@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import PARAMETERS
+from ga.model.terms import PARAMETERS, of_kind, size_of
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic, again
 from hil.identification.fitting.unloaded import DEFLECTION, UNLOADED_PLACE
@@ -100,10 +100,11 @@ def other_stiffness(
         use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
         text += remedy if spans == "amplitude" else use
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
-    if "Ka" in values and (spans == DEFLECTION or span_of_stiffness(values, sliding_only=True) is not None):
-        soft, stiff = (values["Kc"] + side * abs(values["Ka"]) for side in (-1.0, 1.0))
+    half, turns = size_of(values, "side stiffness"), of_kind(values, "side place")
+    if turns and (spans == DEFLECTION or span_of_stiffness(values, sliding_only=True) is not None):
+        soft, stiff = (values["Kc"] + side * abs(half) for side in (-1.0, 1.0))
         text = (
-            f"Kc is {stiff:.3g} N m/rad on one side of {values['turn']:.3g} rad and {soft:.3g} N m/rad on the other. "
+            f"Kc is {stiff:.3g} N m/rad on one side of {values[turns[0]]:.3g} rad and {soft:.3g} N m/rad on the other. "
             "The joint has two springs, or a gap or a slack tendon of which it reached only one end. "
         )
         remedy = (
@@ -117,8 +118,8 @@ def other_stiffness(
             )
         text += remedy if spans in ("direction", DEFLECTION) else "The Kc here is their mean"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
-    if {"Kc", "K1", "tau1"} <= set(values):
-        fast, name = values["Kc"] + values["K1"] + values.get("K2", 0.0), min(_relaxing(values))[1]
+    if "Kc" in values and (relaxing := _relaxing(values)):
+        fast, name = values["Kc"] + size_of(values, "relaxing stiffness"), min(relaxing)[1]
         text = (
             f"Kc depends on the speed: it is {values['Kc']:.3g} N m/rad in slow motion, and {fast:.3g} N m/rad in "
             f"motion much faster than {1e3 * values[name]:.3g} ms ({name}). The Kc here is that of slow motion. For "
@@ -130,7 +131,7 @@ def other_stiffness(
 
 def _relaxing(values: Mapping[str, float]) -> list[tuple[float, str]]:
     """Return the relaxation time, s, of each branch of a model with these values, and the name of its parameter."""
-    return [(values[name], name) for name in ("tau1", "tau2") if name in values]
+    return [(values[name], name) for name in of_kind(values, "relaxation time")]
 
 
 def _unloaded(evidence: Evidence) -> list[Diagnostic]:
@@ -279,7 +280,7 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     if name == "Kc":
         cause, known = "Effects that the recording neither shows nor excludes change Kc", "the joint has none of them"
         remedy = again("Use a larger amplitude and a wider band", "--amplitude, --band", imported=imported)
-    elif {"skew", "lag", "window"} & set(evidence.names):
+    elif of_kind(evidence.names, "delay", "lag time", "mean time"):
         cause = "A late torque reading looks like a viscoelastic coupling that relaxes fast"
         known = "the torque cell or its filter is that late"
     else:

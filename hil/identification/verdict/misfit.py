@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ga.model.coupling import CouplingModel, parse
+from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
+from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.described import Described, tested_motion
 from hil.identification.result import Estimate
-from hil.identification.verdict.confounding import CURVES
 from hil.signals.torque_reading import seen_in_torque
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
@@ -35,7 +35,8 @@ def misfit_diagnostics(
         missed = _untested_motion(described, model) if selected else []
         return missed or ([] if found and not found.is_undecided else [_untested(model, found)])
     signals = described.signals
-    longest = float(parse("linear+skew").bounds(signals.motion, signals.band[1])[1][0])
+    bounds = (one.bounds for one in TERMS.values() if one.delays and one.bounds)
+    longest = max(high for own in bounds for _, high in own(signals.motion, signals.band[1]))
     seen = seen_in_torque(signals, longest)
     parts = [
         _respects(model, found),
@@ -90,10 +91,10 @@ def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
     moving = tested_motion(described)
-    if moving > _TESTED or not (sticks or "J" in described.names):
+    if moving > _TESTED or not (sticks or of_kind(described.names, "moment of inertia")):
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
-    curves = bool(CURVES.intersection(model.split("+")))
+    curves = bool(set(of_role("curve")).intersection(model.split("+")))
     wrong = "and each changes how a spring seems to curve. Kc and Bc" if curves else "and Bc"
     text = (
         f"only {percent(moving)} of the motion is in samples away from jumps of the acceleration, where the fit "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
+from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.late import Alternative
@@ -302,9 +304,10 @@ def test_the_interval_of_kc_of_a_cubic_spring_is_little_wider_for_tendons_that_a
         signals = prepare(recording, None)
     choice, used, widths = choose(None, signals, linear_only=False), np.ones(len(signals), dtype=bool), []
     assert choice.model.name == "linear+cubic"
-    for curves, rare in ((largest._CURVES, ("hardening",)), (largest._CURVES, ()), (largest._CURVES[:-1], ())):
+    often = {**TERMS, "hardening": replace(TERMS["hardening"], seldom=False)}
+    for curves, table in ((largest._CURVES, TERMS), (largest._CURVES, often), (largest._CURVES[:-1], TERMS)):
         monkeypatch.setattr(largest, "_CURVES", curves)
-        monkeypatch.setattr(largest, "_RARE_CURVES", rare)
+        monkeypatch.setattr(largest, "TERMS", table)
         found = average.averaged(choice, signals, used, np.empty(0), {"Kc": 0.0, "Bc": 0.0})
         widths.append(found["Kc"].half_width)
     seldom, usual, never = widths

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
+from ga.model.terms import TERMS
 from ga.model.trajectory import Motion
 from hil.identification.fitting.unloaded import UNLOADED_PLACE, Unloaded, unloaded
 from hil.identification.identify import identify
@@ -107,16 +108,16 @@ def test_where_no_two_places_agree_the_interval_spans_the_stiffness_of_the_motio
 
 def test_where_the_place_is_unknown_the_interval_spans_a_stiffness_that_rises_in_both_directions() -> None:
     values = {"Kc": KC, "Kh": 0.5}
-    span = Unloaded(low=-0.1, high=0.2, agreed=False).span(values)
+    span = Unloaded(low=-0.1, high=0.2, agreed=False).span(values, [TERMS["hardening"]])
     assert span is not None
     assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.5 * 0.2))
 
 
-@pytest.mark.parametrize("rise", ["Kh", "Kp"])
-def test_the_interval_spans_a_stiffness_that_rises_exponentially(rise: str) -> None:
+@pytest.mark.parametrize(("term", "rise"), [("exponential", "Kh"), ("toe", "Kp")])
+def test_the_interval_spans_a_stiffness_that_rises_exponentially(term: str, rise: str) -> None:
     """d/dx of 2 (e^(bx) - 1 - bx)/b^2 is 2 (e^(bx) - 1)/b."""
     values = {"Kc": KC, rise: 0.01, "exponent": 5.0}
-    span = Unloaded(low=0.0, high=0.2, agreed=False).span(values)
+    span = Unloaded(low=0.0, high=0.2, agreed=False).span(values, [TERMS[term]])
     assert span is not None
     assert span[:2] == pytest.approx((KC, KC + 2.0 * 0.01 * math.expm1(1.0) / 5.0))
 

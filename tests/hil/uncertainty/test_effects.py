@@ -1,11 +1,85 @@
-"""Each effect has its column, also for stretches of a few samples."""
+"""Each effect has its column, also for stretches of a few samples, and is found where a model lacks it."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from ga.model.coupling import CouplingModel, parse
+from ga.model.record import Role, Term
+from ga.model.terms import CONSIDERED, RARER, TERMS, compatible_model
+from ga.model.trajectory import Motion
+from hil.identification.candidates.late import EARLIER
+from hil.identification.candidates.stepwise import Selection, select
 from hil.uncertainty.effects import EFFECTS, Effect, Recorded, reading_noise
+from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+
+Array = NDArray[np.float64]
+
+KC, BC, HIGHEST = 0.3, 3e-3, 12.0
+MARKED = [term for term in TERMS.values() if term.mark is not None]
+
+
+def moving() -> Motion:
+    """A sum of 25 sines from 0.3 to 12 Hz, over 16 s."""
+    time, speeds = np.arange(4000) / 250.0, 2.0 * np.pi * np.geomspace(0.3, HIGHEST, 25)
+    waves = 0.02 * np.exp(1j * (np.outer(time, speeds) + np.arange(25) ** 2))
+    angle, rate, acceleration = ((waves * (1j * speeds) ** order).real.sum(axis=1) for order in range(3))
+    return Motion(time, angle, rate, acceleration, np.zeros(len(time)))
+
+
+MOTION = moving()
+
+
+def example(term: Term) -> tuple[CouplingModel, Array, Array]:
+    """The smallest model with a term, its nonlinear parameters, and a torque (n,) of which the term is a tenth."""
+    model = parse(compatible_model(term.name, ("linear", "offset"))).anchored(MOTION)
+    low, high = model.bounds(MOTION, HIGHEST)
+    starts = [one.starts[(len(one.starts) - 1) // 2 :] for one in model.nonlinear]
+    values = [
+        [least + start * (most - least) for start in own] for own, least, most in zip(starts, low, high, strict=True)
+    ]
+    nonlinear = np.array([own[int(own[0] == one.absent)] for own, one in zip(values, model.nonlinear, strict=True)])
+    columns = model.columns(MOTION, nonlinear, BC / KC)
+    size = 0.1 * KC * np.std(MOTION.dtheta) / np.sqrt(np.mean(columns**2, axis=0))
+    genes = np.array([{"Kc": KC, "Bc": BC}.get(one.name, own) for one, own in zip(model.linear, size, strict=True)])
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(len(MOTION))
+    return model, nonlinear, columns @ genes + noise
+
+
+@pytest.mark.parametrize("term", MARKED, ids=lambda term: term.name)
+def test_the_mark_of_a_term_is_the_first_in_what_a_model_without_it_leaves(term: Term) -> None:
+    """What makes a torque late is like an inertia or a branch to first order, and counts as one."""
+    model, nonlinear, torque = example(term)
+    values = dict(zip((one.name for one in model.nonlinear), nonlinear.tolist(), strict=True))
+    others = [name for name in model.name.split("+") if name != term.name]
+    smaller = CouplingModel("+".join(others)).anchored(MOTION)
+    columns = smaller.columns(MOTION, np.array([values[one.name] for one in smaller.nonlinear]))
+    fitted = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    residuals, half = torque - columns @ fitted, (1e-3, 1e-5)
+    recorded = Recorded(MOTION.time, torque, MOTION.dtheta, MOTION.dtheta_dot)
+    found = lack_of_fit(recorded, Fitted(residuals, columns, (0, 1), (fitted[0], fitted[1]), half))
+    assert found is not None
+    assert found.misfit
+    assert term.mark is not None
+    late: tuple[Role, ...] = ("channel", "mass", "branch")
+    first = found.suspects[0].effect
+    assert first.code == term.mark.code or (term.role in late and any(first.is_of(role) for role in late))
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("term", [one for one in TERMS.values() if one.role != "coupling"], ids=lambda term: term.name)
+def test_the_selection_finds_a_term_or_another_law_of_its_effect(term: Term) -> None:
+    model, _, torque = example(term)
+    rarer = tuple(dict.fromkeys((*RARER, "inertia")))
+
+    def describes(found: Selection, _averaged: bool) -> bool:
+        return term.name in found.model.name.split("+")
+
+    found = select(MOTION, torque, HIGHEST, CONSIDERED, rarer=rarer, accounts=EARLIER, describes=describes).model
+    laws = {name for name, one in TERMS.items() if one.role == term.role}
+    assert laws.intersection(found.name.split("+")) - {"offset"} or term.name in found.name, (model.name, found.name)
 
 
 def _in_stretches(*lengths: int) -> Recorded:

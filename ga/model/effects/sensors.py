@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import Parameter, Regressors, Term
+from ga.model.record import Mark, Parameter, Term, searched
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from ga.model.record import Bounds
     from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
@@ -28,18 +29,6 @@ TICKS_LATE: Final = 10.0
 """The number of ticks by which a filter may delay the torque reading, if that is longer than `LONGEST_SKEW`."""
 
 
-def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.zeros_like(regressors.angle),)
-
-
-def _one(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.ones_like(regressors.angle),)
-
-
 def _skew_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
     import numpy as np
 
@@ -49,20 +38,19 @@ def _skew_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], .
     return ((-longest, longest),)
 
 
-def _mean_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
-    return ((0.0, min(LONGEST_MEAN, 0.7 / highest)),)  # a sine is lost in its mean over a period
-
-
-def _lag_bounds(_motion: Motion, highest: float) -> tuple[tuple[float, float], ...]:
-    return ((0.0, min(LONGEST_LAG, 0.5 / highest)),)  # behind a longer one the damping cannot be identified
+def _until(longest: float, periods: float) -> Bounds:
+    """Return the bounds of a time, s, that is at most so many of the shortest periods of the motion."""
+    return lambda _motion, highest: ((0.0, min(longest, periods / highest)),)
 
 
 OFFSET: Final = Term(
     "offset",
     "a constant torque",
-    (Parameter("tau0", "N*m", "torque at rest, at the first sample"),),
-    columns=_one,
-    rates=_still,
+    (Parameter("tau0", "N*m", "torque at rest, at the first sample", "torque at rest"),),
+    columns=lambda r: (r.time**0,),
+    role="bias",
+    bench="always",
+    mark=Mark("offset", "an offset of the torque", "try --model {offset}"),
     selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
     bends=False,
     equation="tau0",
@@ -74,7 +62,11 @@ DRIFT: Final = Term(
     (Parameter("drift", "N*m/s", "slope of the torque reading in time"),),
     # from the first sample on: an absolute time would be nearly collinear with the offset
     columns=lambda r: (r.time,),
-    rates=_still,
+    selection="considered",
+    role="bias",
+    bench="small",
+    repeats=True,
+    mark=Mark("drift", "a drift of the torque", "try --model {drift}"),
     needs="offset",
     bends=False,
     equation="drift*t",
@@ -84,18 +76,21 @@ SKEW: Final = Term(
     "skew",
     "a torque reading older than the angle's",
     (
-        Parameter(
+        searched(
             "skew",
             "s",
             "how much older the torque reading is than that of the angle",
-            scales=False,
-            nonlinear=True,
+            "delay",
             starts=(0.25, 0.5, 0.75),
             refined=True,
         ),
     ),
     bounds=_skew_bounds,
     delays=True,
+    selection="considered",
+    role="channel",
+    bench="always",
+    mark=Mark("skew", "a time shift between torque and angle", "try --model {skew}"),
     # it moves the breaks that friction makes at every reversal, and differs little from what else follows late
     confusable=("coulomb", "lag", "maxwell"),
     bends=False,
@@ -106,21 +101,25 @@ LAG: Final = Term(
     "lag",
     "a torque cell that follows with a first-order lag",
     (
-        Parameter(
+        searched(
             "lag",
             "s",
             "time constant of the torque cell",
-            scales=False,
+            "lag time",
             presence=True,
             positive=True,
-            nonlinear=True,
             starts=(0.02, 0.1, 0.3, 0.6),
         ),
     ),
-    bounds=_lag_bounds,
+    bounds=_until(LONGEST_LAG, 0.5),  # behind a longer one the damping cannot be identified
     cell=lambda m, torque, own: m.whole[0].lagged(torque, float(own[0]))[m.whole[1]],
     forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
-    selection="misfit",
+    role="channel",
+    mark=Mark(
+        "sensor-lag",
+        "a torque cell with a low bandwidth",
+        "try --model {lag}, or use a faster cell or switch its filter off",
+    ),
     bends=False,
     equation="the reading r follows tau: lag*dr/dt = tau - r",
 )
@@ -129,22 +128,21 @@ MEAN: Final = Term(
     "mean",
     "a torque reading that is a mean over some time, as filters of an even delay make it",
     (
-        Parameter(
+        searched(
             "window",
             "s",
             "time over which a torque reading is the mean, half before and half after; its delay is the skew",
-            scales=False,
+            "mean time",
             presence=True,
             positive=True,
-            nonlinear=True,
             starts=(0.1, 0.3, 0.6),
         ),
     ),
-    bounds=_mean_bounds,
+    bounds=_until(LONGEST_MEAN, 0.7),  # a sine is lost in its mean over a period
     cell=lambda m, torque, own: m.averaged(torque, float(own[0])),
     excludes=("lag",),
+    role="channel",
     reason="lag and mean are two accounts of the torque cell's filter",
-    selection="misfit",
     bends=False,
     equation="the reading is the mean of tau over window",
 )

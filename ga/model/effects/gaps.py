@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import Parameter, Term
+from ga.model.record import Mark, Term, searched
 
 if TYPE_CHECKING:
     import numpy as np
@@ -44,6 +44,11 @@ def _gap_shifts(angle: Array) -> tuple[Array, ...]:
     return 0.5 * np.sign(angle), np.sign(angle) ** 2
 
 
+def _open(values: Array) -> tuple[float, float]:
+    gap, centre = values.tolist()
+    return centre - 0.5 * gap, centre + 0.5 * gap
+
+
 def _beyond_slack(angle: Array, values: Array) -> Array:
     import numpy as np
 
@@ -78,30 +83,27 @@ def extent(motion: Motion) -> tuple[float, float]:
     return least, float(motion.dtheta.max() - motion.dtheta.min())
 
 
-_GAP: Final = Parameter(
+_GAP: Final = searched(
     "gap",
     "rad",
     "play of the coupling, its whole width",
-    scales=False,
+    "gap width",
     presence=True,
     positive=True,
-    nonlinear=True,
     starts=(0.0, 0.03, 0.1, 0.25, 0.5),
     kinked=True,
     refined=True,
     about="centre",
 )
-_CENTRE: Final = Parameter(
+_CENTRE: Final = searched(
     "centre",
     "rad",
     "deflection in the middle of the play",
-    scales=False,
+    "gap middle",
     absent=None,
-    nonlinear=True,
     starts=(0.3, 0.5, 0.7),
     kinked=True,
     refined=True,
-    place=True,
 )
 
 BACKLASH: Final = Term(
@@ -112,6 +114,12 @@ BACKLASH: Final = Term(
     remaining=_beyond_gap,
     shifts=_gap_shifts,
     contact=_pushing_only,
+    selection="considered",
+    role="play",
+    open=_open,
+    mark=Mark(
+        "backlash", "a gap or dead band", "try --model {backlash}, or {deadband} where the damper acts in the gap too"
+    ),
     needs="offset",
     excludes=_others("backlash"),
     reason=_ONE_GAP,
@@ -126,11 +134,12 @@ DEADBAND: Final = Term(
     bounds=_gap_bounds,
     remaining=_beyond_gap,
     shifts=_gap_shifts,
+    role="play",
+    open=_open,
     needs="offset",
     excludes=_others("deadband"),
     reason=_ONE_GAP,
     breaks=True,
-    selection="misfit",
     equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them x is 0",
 )
 
@@ -138,23 +147,24 @@ SLACK: Final = Term(
     "slack",
     "a tendon that only pulls",
     (
-        Parameter(
+        searched(
             "slack",
             "rad",
             "deflection before the tendon pulls",
-            scales=False,
+            "slack end",
             absent=None,
-            nonlinear=True,
             starts=(0.05, 0.2, 0.4, 0.6, 0.8),
             kinked=True,
             refined=True,
-            place=True,
         ),
     ),
     bounds=_slack_bounds,
     remaining=_beyond_slack,
     shifts=_slack_shifts,
     contact=_pushing_only,
+    selection="considered",
+    role="play",
+    open=lambda values: (float("-inf"), float(values[0])),
     needs="offset",
     excludes=_others("slack"),
     reason=_ONE_GAP,

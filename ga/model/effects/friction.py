@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import Parameter, Regressors, Term
+from ga.model.record import Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
+    from ga.model.record import Bounds
     from ga.model.trajectory import Motion
 
     Array = NDArray[np.float64]
@@ -33,31 +36,14 @@ TURNS: Final = (0.002, 0.6)
 (`felt`). Above the largest, such friction equals damping.
 """
 
+_SLOW: Final = 1e-4  # rate over vr, below which both forms of friction are in proportion to it
+
 
 def _sign(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
 
     rate, smoothing = regressors.motion.dtheta_dot, regressors.smoothing
     return (np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate),)
-
-
-def _still(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.zeros_like(regressors.angle),)
-
-
-def _square(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
-
-    rate = regressors.motion.dtheta_dot
-    return (rate * np.abs(rate) * regressors.contact,)
-
-
-def _squaring(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (2.0 * np.abs(regressors.motion.dtheta_dot) * changing.dtheta_dot * regressors.contact,)
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
@@ -85,10 +71,21 @@ def felt(rate: Array) -> float:
     return float(((rate**4).sum() / (rate**2).sum()) ** 0.5) if rate.any() else 0.0
 
 
-def stribeck_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the smallest and the largest rate, rad/s, over which friction falls."""
-    usual = felt(motion.dtheta_dot)
-    return ((FALLS[0] * usual, FALLS[1] * usual),)
+def over_rates(least: float, most: float) -> Bounds:
+    """Return the bounds of a rate, rad/s, over which friction changes; least, most: relative to `felt`."""
+    return lambda motion, _highest: ((least * felt(motion.dtheta_dot), most * felt(motion.dtheta_dot)),)
+
+
+def _rooted(motion: Motion, columns: Mapping[Parameter, Array], values: Mapping[Parameter, float]) -> Array:
+    """Return the torque (n,) of friction of the form v/sqrt(v^2 + vr^2), less the torque of friction of the form
+    tanh(v/vr).
+    """
+    import numpy as np
+
+    turned = np.maximum(np.abs(motion.dtheta_dot / values[SMOOTH.parameters[0]]), _SLOW)
+    rubs = [one for one in columns if one.friction]
+    friction = np.stack([columns[one] for one in rubs], axis=1) @ np.array([values[one] for one in rubs])
+    return np.asarray(friction * (turned / np.hypot(1.0, turned) / np.tanh(turned) - 1.0))
 
 
 def _falling(regressors: Regressors) -> tuple[Array, ...]:
@@ -103,32 +100,23 @@ def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     return (-2.0 * rate * changing.dtheta_dot / regressors.own[0] ** 2 * column,)
 
 
-def turning_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    """Return the smallest and the largest rate, rad/s, over which friction reverses smoothly."""
-    usual = felt(motion.dtheta_dot)
-    return ((TURNS[0] * usual, TURNS[1] * usual),)
-
-
 COULOMB: Final = Term(
     "coulomb",
     "dry friction",
-    (Parameter("Fc", "N*m", "Coulomb friction", presence=True, friction=True, positive=True),),
+    (Parameter("Fc", "N*m", "Coulomb friction", "dry friction", presence=True, positive=True),),
     columns=_sign,
-    rates=_still,
     sticks=True,
+    selection="considered",
+    role="friction",
+    bench="small",
+    mark=Mark("coulomb", "dry friction", "try --model {coulomb}, or {smooth} where it turns gradually with the rate"),
     equation="Fc*sign(v)",
 )
 
 
-def _rate_over(name: str, meaning: str, starts: tuple[float, ...]) -> Parameter:
-    """Return the record of a parameter that is a rate, rad/s, over which friction changes.
-
-    starts: its starting values, as fractions of its range.
-    """
-    return Parameter(name, "rad/s", meaning, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
-
-
-FALLING: Final = _rate_over("vst", "rate over which it falls", (0.02, 0.1, 0.25, 0.5))
+FALLING: Final = searched(
+    "vst", "rad/s", "rate over which it falls", absent=None, positive=True, starts=(0.02, 0.1, 0.25, 0.5)
+)
 
 STRIBECK: Final = Term(
     "stribeck",
@@ -138,66 +126,55 @@ STRIBECK: Final = Term(
             "Fs",
             "N*m",
             "by how much friction at rest is higher than at speed",
+            "fall of friction",
             presence=True,
-            friction=True,
             positive=True,
         ),
         FALLING,
     ),
     columns=_falling,
     rates=_falling_on,
-    bounds=stribeck_bounds,
+    bounds=over_rates(*FALLS),
+    role="friction",
     needs="coulomb",
-    selection="misfit",
     equation="Fs*exp(-(v/vst)^2)*sign(v)",
-)
-
-SMOOTH: Final = Term(
-    "smooth",
-    "dry friction that turns smoothly with the rate, as of a lubricated joint",
-    (_rate_over("vr", "rate over which friction turns", (0.005, 0.02, 0.1, 0.25, 0.5)),),
-    bounds=turning_bounds,
-    smooths=True,
-    needs="coulomb",
-    or_needs=("capstan", "pulley"),
-    selection="misfit",
-    equation="sign(v) is tanh(v/vr)",
 )
 
 CAPSTAN: Final = Term(
     "capstan",
     "friction in proportion to the torque, as of a tendon in its sheath",
     (
-        Parameter(
+        searched(
             "mu",
             "1",
             "part of the torque that is friction",
-            scales=False,
+            "load share",
             presence=True,
-            friction=True,
             positive=True,
-            nonlinear=True,
             starts=(0.05, 0.15, 0.3, 0.6),
         ),
-        Parameter(
+        searched(
             "rest",
             "rad",
             "deflection at which the tendon carries no torque",
-            scales=False,
+            "unloaded place",
             absent=None,
-            nonlinear=True,
             starts=(0.2, 0.45, 0.5, 0.55, 0.8),
-            place=True,
         ),
     ),
     bounds=capstan_bounds,
     remaining=lambda angle, values: angle - values[1],
     load=_loaded,
+    role="load",
+    mark=Mark(
+        "capstan",
+        "friction in proportion to the torque, as of a tendon in its sheath",
+        "try --model {capstan}, {pulley} or {sheath}, beyond a gap {gear}, and record at several amplitudes",
+    ),
     needs="offset",
     excludes=("backlash", "slack"),
     reason="where a gap is open, the tendon carries no torque that could make friction",
     sticks=True,
-    selection="misfit",
     equation="x counts from rest; springs and dampers are multiplied by 1 + mu*sign(v)*sign(tau)",
 )
 
@@ -209,31 +186,64 @@ PULLEY: Final = Term(
     remaining=CAPSTAN.remaining,
     load=lambda angle, motion, _lag, smoothing, values: _loaded(angle, motion, 0.0, smoothing, values),
     spares_dampers=True,
+    role="load",
     needs="offset",
     excludes=(*CAPSTAN.excludes, "capstan"),
     reason="capstan is the same with a damper in the tendon, and where a gap is open nothing rubs",
     sticks=True,
-    selection="misfit",
     equation="x counts from rest; springs are multiplied by 1 + mu*sign(v)*sign(x)",
+)
+
+SMOOTH: Final = Term(
+    "smooth",
+    "dry friction that turns smoothly with the rate, as of a lubricated joint",
+    (
+        searched(
+            "vr",
+            "rad/s",
+            "rate over which friction turns",
+            "turning rate",
+            absent=None,
+            positive=True,
+            starts=(0.005, 0.02, 0.1, 0.25, 0.5),
+        ),
+    ),
+    bounds=over_rates(*TURNS),
+    smooths=True,
+    role="load",
+    deviation=_rooted,
+    needs="coulomb",
+    or_needs=("capstan", "pulley"),
+    equation="sign(v) is tanh(v/vr)",
 )
 
 QUADRATIC: Final = Term(
     "quadratic",
     "a damping that grows with the rate",
-    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", presence=True, positive=True, damping=True),),
-    columns=_square,
-    rates=_squaring,
-    carried=True,
-    selection="misfit",
+    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", "growth of damping", presence=True, positive=True),),
+    columns=lambda r: (r.motion.dtheta_dot * abs(r.motion.dtheta_dot) * r.contact,),
+    rates=lambda r, c: (2.0 * abs(r.motion.dtheta_dot) * c.dtheta_dot * r.contact,),
+    role="damping",
+    mark=Mark(
+        "quadratic-damping",
+        "damping that rises with the rate",
+        "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
+    ),
     equation="B2*v*|v|",
 )
 
 INERTIA: Final = Term(
     "inertia",
     "an inertia that moves with the deflection",
-    (Parameter("J", "kg*m^2", "inertia that moves with the deflection", presence=True, positive=True),),
+    (
+        Parameter(
+            "J", "kg*m^2", "inertia that moves with the deflection", "moment of inertia", presence=True, positive=True
+        ),
+    ),
     columns=lambda r: (r.motion.dtheta_ddot,),
     rates=lambda _r, c: (c.dtheta_ddot,),
+    role="mass",
+    mark=Mark("inertia", "an inertia in the torque", "try --model {inertia}, or set motor_inertia in the stand"),
     selection="motor torque",  # elsewhere it differs too little from skew
     bends=False,
     equation="J*dv/dt",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.friction import CAPSTAN, FALLING, MOST_FRICTION, capstan_bounds, stribeck_bounds
-from ga.model.record import Parameter, Regressors, Term
+from ga.model.effects.friction import CAPSTAN, FALLING, FALLS, MOST_FRICTION, capstan_bounds, over_rates
+from ga.model.record import Kind, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     import numpy as np
@@ -91,14 +91,16 @@ def _loaded_at_first(motion: Motion, own: Array) -> Array:
     return np.asarray(np.abs(motion.dtheta - rest) * motion.fading(motion.travelled, float(reach)))
 
 
-def _over(name: str, about: str) -> Parameter:
+def _over(name: str, about: str, kind: Kind) -> Parameter:
     """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal."""
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
-    return Parameter(name, "rad", about, scales=False, absent=None, positive=True, nonlinear=True, starts=starts)
+    return searched(name, "rad", about, kind, absent=None, positive=True, starts=starts)
 
 
-_FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", presence=True, friction=True, positive=True)
-_REACH: Final = _over("reach", "deflection after a reversal over which the friction builds up")
+_FRICTION: Final = Parameter(
+    "Fd", "N*m", "friction long after a reversal", "presliding friction", presence=True, positive=True
+)
+_REACH: Final = _over("reach", "deflection after a reversal over which the friction builds up", "presliding length")
 _MU, _REST = CAPSTAN.parameters
 
 DAHL: Final = Term(
@@ -109,9 +111,15 @@ DAHL: Final = Term(
     rates=_building_up,
     bounds=_dahl_bounds,
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    role="friction",
+    mark=Mark(
+        "hysteresis",
+        "friction that builds up over a distance (LuGre, Bouc-Wen)",
+        "try --model {dahl} or {boucwen}, and record two amplitudes: Kc then falls with the larger one",
+        again=True,
+    ),
     excludes=("coulomb",),
     reason="coulomb is dahl without the build-up",
-    selection="misfit",
     equation="Fd*z, dz/dt = (v - |v|*z)/reach",
 )
 
@@ -121,26 +129,24 @@ LUGRE: Final = Term(
     (
         _FRICTION,
         _REACH,
-        Parameter(
+        searched(
             "rise",
             "1",
             "part of the friction at speed by which it is higher at rest",
-            scales=False,
+            "fall of friction",
             presence=True,
-            friction=True,
             positive=True,
-            nonlinear=True,
             starts=(0.1, 0.4),
         ),
         FALLING,
     ),
     columns=_bristles,
     rates=_bristles_on,
-    bounds=lambda m, highest: (*_dahl_bounds(m, highest), (0.0, MOST_RISE), *stribeck_bounds(m, highest)),
+    bounds=lambda m, highest: (*_dahl_bounds(m, highest), (0.0, MOST_RISE), *over_rates(*FALLS)(m, highest)),
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    role="friction",
     excludes=("coulomb", "dahl"),
     reason="coulomb and dahl are lugre without its fall or its build-up",
-    selection="misfit",
     equation="Fd*z, dz/dt = (v - |v|*z/(1 + rise*exp(-(v/vst)^2)))/reach",
 )
 
@@ -152,19 +158,19 @@ BOUC_WEN: Final = Term(
             "Fy",
             "N*m",
             "torque of the spring that yields, long after a reversal",
+            "yielding friction",
             presence=True,
-            friction=True,
             positive=True,
         ),
-        _over("yield", "deflection over which the spring yields"),
+        _over("yield", "deflection over which the spring yields", "yielding length"),
     ),
     columns=_yielding,
     rates=_yielding_on,
     bounds=_dahl_bounds,
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    role="friction",
     excludes=("coulomb", "dahl", "lugre"),
     reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
-    selection="misfit",
     equation="Fy*z, dz/dt = v*(1 - |z| where z and v have one sign)/yield",
 )
 
@@ -176,10 +182,11 @@ SHEATH: Final = Term(
     remaining=CAPSTAN.remaining,
     load=_loaded,
     forgets=_loaded_at_first,
+    role="load",
+    repeats=True,
     needs="offset",
     excludes=(*CAPSTAN.excludes, "deadband", "capstan", "pulley", "dahl", "lugre", "boucwen"),
     reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
-    selection="misfit",
     equation="x counts from rest; springs and dampers are multiplied by 1 + mu*z*sign(tau), dz/dt = (v - |v|*z)/reach",
 )
 
@@ -192,9 +199,9 @@ GEAR: Final = Term(
     bounds=lambda m, highest: ((0.0, MOST_FRICTION), *_dahl_bounds(m, highest)),
     load=_loaded,
     forgets=lambda m, own: m.fading(m.travelled, float(own[-1])),
+    role="load",
     needs="backlash",
     excludes=("coulomb", "dahl", "lugre", "boucwen", "capstan", "pulley", "sheath"),
     reason="coulomb, dahl, capstan and sheath are parts of gear, and lugre and boucwen are other laws of it",
-    selection="misfit",
     equation="Fd*z, dz/dt = (v - |v|*z)/reach; springs and dampers are multiplied by 1 + mu*z*sign(tau)",
 )

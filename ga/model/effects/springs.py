@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.gaps import GAPS, extent
-from ga.model.record import Parameter, Regressors, Term
+from ga.model.effects.gaps import GAPS, extent
+from ga.model.record import Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -53,21 +55,12 @@ def _relaxation_bounds(motion: Motion, highest: float) -> tuple[tuple[float, flo
     return ((shortest, longest),)
 
 
-def _exponent_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    return ((0.0, STEEPEST / _furthest(motion)),)
-
-
-def _toe_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
-    most = STEEPEST / _furthest(motion)
-    return ((-most, most),)
-
-
 def _furthest(motion: Motion) -> float:
     least, span = extent(motion)
     return max(abs(least), abs(least + span))
 
 
-def risen(angle: Array, exponent: float) -> Array:
+def _risen(angle: Array, exponent: float) -> Array:
     """Return the rise of an exponential stiffness per unit: (e^u - 1)/exponent, rad, with u = exponent x angle, at
     angles (n,), rad.
     """
@@ -96,18 +89,8 @@ def _exponential(regressors: Regressors) -> tuple[Array, ...]:
     return (np.sign(angle) * _lifted(np.abs(angle), float(regressors.own[0])),)
 
 
-def _both_ways(regressors: Regressors) -> Array:
-    return 2.0 * risen(abs(regressors.angle), float(regressors.own[0]))
-
-
-def _one_way(regressors: Regressors) -> Array:
-    return 2.0 * risen(regressors.angle, float(regressors.own[0]))
-
-
-def _beside_turn(regressors: Regressors) -> tuple[Array, ...]:
-    import numpy as np
-
-    return (np.abs(regressors.angle - regressors.own[0]),)
+def _cubed(motion: Motion, columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
+    return columns[LINEAR.parameters[0]] * motion.dtheta**2
 
 
 def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
@@ -125,21 +108,30 @@ def _relaxing(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     return (changing.dtheta * regressors.contact - _unrelaxed(regressors, regressors.angle) / regressors.own[0],)
 
 
+_VISCOELASTIC: Final = Mark(
+    "viscoelastic",
+    "a viscoelastic coupling, whose stiffness rises with frequency",
+    "try --model {maxwell}, read K'(f) and B'(f) with --verbose, or record the band that matters",
+    again=True,
+)
+
+
 def _branch(number: int, needs: str) -> Term:
     """Return the term of one Maxwell branch: a spring and a damper in series, parallel to Kc and Bc."""
     return Term(
         "maxwell" if number == 1 else f"maxwell{number}",
         "a viscoelastic branch: a spring in series with a damper" if number == 1 else "another viscoelastic branch",
         (
-            Parameter(f"K{number}", "N*m/rad", "stiffness that relaxes", presence=True, positive=True),
             Parameter(
+                f"K{number}", "N*m/rad", "stiffness that relaxes", "relaxing stiffness", presence=True, positive=True
+            ),
+            searched(
                 f"tau{number}",
                 "s",
                 "time in which it relaxes",
-                scales=False,
+                "relaxation time",
                 absent=None,
                 positive=True,
-                nonlinear=True,
                 open_ended=True,
                 starts=(0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6),
             ),
@@ -147,11 +139,11 @@ def _branch(number: int, needs: str) -> Term:
         columns=lambda r: (_unrelaxed(r, r.angle),),
         rates=_relaxing,
         pushed=lambda r, genes, moved: genes[0] * _unrelaxed(r, moved),
-        carried=True,
         bounds=_relaxation_bounds,
         forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
+        role="branch",
+        mark=None if needs else _VISCOELASTIC,
         needs=needs,
-        selection="misfit",
         bends=False,
         equation=f"K{number}*(x - y{number}), tau{number}*dy{number}/dt = x - y{number}",
     )
@@ -162,14 +154,14 @@ LINEAR: Final = Term(
     "a spring Kc and a damper Bc, the paper's equation 3",
     (
         Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True),
-        Parameter("Bc", "N*m*s/rad", "damping of the coupling", positive=True, damping=True),
+        Parameter("Bc", "N*m*s/rad", "damping of the coupling", "damping", positive=True),
     ),
     columns=lambda r: (r.angle, r.motion.dtheta_dot * r.contact),
     rates=lambda r, c: (c.dtheta * r.contact, c.dtheta_dot * r.contact),
     pushed=lambda _r, genes, moved: genes[0] * moved,
+    role="coupling",
     selection="smallest",
     bends=False,
-    carried=True,
     equation="Kc*x + Bc*v",
 )
 
@@ -178,50 +170,50 @@ CUBIC: Final = Term(
     "a spring that stiffens",
     (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
     columns=lambda r: (r.angle**2 * r.angle,),  # a cube takes thirty times as long as a square
-    rates=lambda r, c: (3.0 * r.angle**2 * c.dtheta,),
     pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
-    confusable=("backlash", "slack", "deadband"),
-    carried=True,
+    confusable=GAPS,
+    selection="considered",
+    role="curve",
+    mark=Mark("cubic", "a spring that stiffens", "try --model {cubic}, {exponential} or {toe}"),
     equation="K3*x^3",
 )
 
-QUINTIC: Final = Term(
+QUINTIC: Final[Term] = Term(
     "quintic",
     "a spring that stiffens other than by a cubic",
     (Parameter("K5", "N*m/rad^5", "quintic stiffness", presence=True),),
     columns=lambda r: (r.angle**2 * r.angle**2 * r.angle,),
-    rates=lambda r, c: (5.0 * r.angle**2 * r.angle**2 * c.dtheta,),
     pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**2 * r.angle**2 * moved,
     needs="cubic",
-    selection="misfit",
-    carried=True,
+    role="curve",
+    deviation=lambda m, columns, _values: columns[QUINTIC.parameters[0]] * m.dtheta**2,
     equation="K5*x^5",
+)
+
+_ASYMMETRY: Final = Mark(
+    "asymmetry",
+    "a stiffness that differs between the two directions",
+    "try --model {asymmetric} or {progressive}; for a single tendon {slack}",
 )
 
 ASYMMETRIC: Final = Term(
     "asymmetric",
     "a spring that is stiffer in one direction",
     (
-        Parameter("Ka", "N*m/rad", "half of what the directions differ by; Kc is their mean", presence=True),
         Parameter(
-            "turn",
-            "rad",
-            "deflection at which the stiffness changes",
-            scales=False,
-            absent=None,
-            nonlinear=True,
-            place=True,
+            "Ka", "N*m/rad", "half of what the directions differ by; Kc is their mean", "side stiffness", presence=True
         ),
+        searched("turn", "rad", "deflection at which the stiffness changes", "side place", absent=None),
     ),
-    columns=_beside_turn,
+    columns=lambda r: (abs(r.angle - r.own[0]),),
     rates=_turning,
     bounds=_turn_bounds,
-    carried=True,
+    role="curve",
+    mark=_ASYMMETRY,
     needs="offset",
     excludes=GAPS,
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
     breaks=True,
-    selection="misfit",
     equation="Ka*|x - turn|",
 )
 
@@ -230,11 +222,10 @@ PROGRESSIVE: Final = Term(
     "a stiffness that rises steadily in one direction",
     (Parameter("Kp", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True),),
     columns=lambda r: (r.angle**2,),
-    rates=lambda r, c: (2.0 * r.angle * c.dtheta,),
     pushed=lambda r, genes, moved: 2.0 * genes[0] * r.angle * moved,
-    carried=True,
+    role="curve",
+    mark=_ASYMMETRY,
     needs="offset",
-    selection="misfit",
     equation="Kp*x^2",
 )
 
@@ -245,15 +236,14 @@ HARDENING: Final = Term(
     "a stiffness that rises steadily in both directions",
     (_RISE,),
     columns=lambda r: (r.angle * abs(r.angle),),
-    rates=lambda r, c: (2.0 * abs(r.angle) * c.dtheta,),
     pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
-    carried=True,
-    selection="misfit",
+    role="curve",
+    seldom=True,  # it has a kink where the joint is unloaded
     equation="Kh*x*|x|",
 )
 
-_EXPONENT: Final = Parameter(
-    "exponent", "1/rad", "in 1/exponent the rise of the stiffness grows by the factor e", scales=False, nonlinear=True
+_EXPONENT: Final = searched(
+    "exponent", "1/rad", "in 1/exponent the rise of the stiffness grows by the factor e", "exponent"
 )
 _POWERS: Final = ("cubic", "quintic", "hardening")
 _REASON: Final = "an exponential has all powers of the deflection, and begins with hardening or progressive"
@@ -263,13 +253,12 @@ EXPONENTIAL: Final = Term(
     "a stiffness that rises exponentially in both directions",
     (_RISE, _EXPONENT),
     columns=_exponential,
-    rates=lambda r, c: (_both_ways(r) * c.dtheta,),
-    pushed=lambda r, genes, moved: genes[0] * _both_ways(r) * moved,
-    bounds=_exponent_bounds,
-    carried=True,
+    pushed=lambda r, genes, moved: 2.0 * genes[0] * _risen(abs(r.angle), float(r.own[0])) * moved,
+    bounds=lambda m, _highest: ((0.0, STEEPEST / _furthest(m)),),
+    role="curve",
+    deviation=_cubed,
     excludes=_POWERS,
     reason=_REASON,
-    selection="misfit",
     equation="2*Kh*sign(x)*(exp(u) - 1 - u)/exponent^2, u = exponent*|x|",
 )
 
@@ -278,14 +267,13 @@ TOE: Final = Term(
     "a stiffness that rises exponentially in one direction, as that of a tendon at first",
     (PROGRESSIVE.parameters[0], _EXPONENT),
     columns=lambda r: (_lifted(r.angle, float(r.own[0])),),
-    rates=lambda r, c: (_one_way(r) * c.dtheta,),
-    pushed=lambda r, genes, moved: genes[0] * _one_way(r) * moved,
-    bounds=_toe_bounds,
-    carried=True,
+    pushed=lambda r, genes, moved: 2.0 * genes[0] * _risen(r.angle, float(r.own[0])) * moved,
+    bounds=lambda m, _highest: ((-STEEPEST / _furthest(m), STEEPEST / _furthest(m)),),
+    role="curve",
+    deviation=_cubed,
     needs="offset",
     excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,
-    selection="misfit",
     equation="2*Kp*(exp(u) - 1 - u)/exponent^2, u = exponent*x",
 )
 
@@ -294,10 +282,14 @@ SOFTENING: Final = Term(
     "a stiffness that drifts in time",
     (Parameter("Ks", "N*m/rad/s", "change of the stiffness in a second; Kc is its mean", presence=True),),
     columns=lambda r: ((r.time - r.middle) * r.angle,),
-    rates=lambda r, c: ((r.time - r.middle) * c.dtheta * r.contact,),
     pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
-    carried=True,
-    selection="misfit",
+    role="change",
+    repeats=True,
+    mark=Mark(
+        "stiffness-drift",
+        "a stiffness that changes during the recording",
+        "try --model {softening}, or record for longer at one temperature",
+    ),
     equation="Ks*(t - tm)*x, tm: the middle of the recording",
 )
 
