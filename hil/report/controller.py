@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ga.model.coupling import CouplingModel
 from hil.errors import WrongUse
 from hil.report.formatting import people_unit, plain_table, rounded
+from hil.report.identification import equation
 from hil.units import with_unit
 
 if TYPE_CHECKING:
@@ -76,8 +78,17 @@ def controller(found: Identification, phase_margin: float = PHASE_MARGIN) -> Con
     quantities = tuple(
         _propagated(name, defined, (kc.value, bc.value), logs) for name, defined in (_CORNER | loops).items()
     )
-    which = f"Kc depends on the {kc.depends_on}: the middle of its range counts, and the intervals span the range"
-    return Controller(quantities, phase_margin, inertia, which if kc.depends_on else "")
+    return Controller(quantities, phase_margin, inertia, _which(found))
+
+
+def _which(found: Identification) -> str:
+    """Return which Kc was used, in words; "" if the model has no other stiffness."""
+    if on := found["Kc"].depends_on:
+        return f"Kc depends on the {on}: the middle of its range counts, and the intervals span the range"
+    terms = found.model.terms[1:] if isinstance(found.model, CouplingModel) else ()
+    if not any(term.pushed or term.remaining or term.load or term.forgets for term in terms):
+        return ""
+    return f"the stiffness changes with the motion, and only Kc counts, the factor of x in {equation(found.model)}"
 
 
 _Defined = tuple[str, str, Callable[[float, float], float]]  # unit, meaning, and the formula of Kc and Bc

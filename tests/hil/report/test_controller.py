@@ -10,6 +10,7 @@ import pytest
 from scipy import signal
 
 import hil as api
+from ga.model.coupling import parse
 from hil.diagnostics import Diagnostic
 from hil.exchange.coupling import of_json
 from hil.exchange.models import c_header
@@ -92,6 +93,9 @@ def test_what_may_not_be_trusted_or_is_not_known_gives_no_number(found: Identifi
     assert [one.name for one in unknown.quantities] == ["corner_frequency"]
     spans = replace(found, estimates=(replace(found["Kc"], depends_on="amplitude"), found["Bc"]))
     assert "Kc depends on the amplitude: the middle" in controller_line(spans)
+    stiffening = replace(found, model=parse("linear+offset+cubic"))
+    assert "only Kc counts, the factor of x in tau = Kc*x + Bc*v + tau0 + K3*x^3" in controller_line(stiffening)
+    assert "Kc" not in controller_line(replace(found, model=parse("linear+offset+coulomb")))
     for angle in (0.0, 2.0, math.nan):
         with pytest.raises(api.WrongUse, match="give an angle above 0"):
             controller(found, angle)
