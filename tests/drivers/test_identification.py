@@ -33,7 +33,7 @@ FAMILIES = (
     "cia402 epos4",
     "commander",
 )
-QUICK = ("dynamixel xl330-m288", "feetech sts3215, 1 kHz cell", "odrive 0.6.10", "cia402 epos4")
+QUICK = ("feetech sts3215, 1 kHz cell", "cia402 epos4")
 """One of each kind of wire; what the others make of torque and angle is held to SI by the contract of every servo."""
 
 

@@ -117,7 +117,7 @@ def test_the_cube_holds_the_optimum(made: Making, name: str) -> None:
 def test_every_trial_finds_the_optimum_of_nasty_data(made: Making, name: str) -> None:
     columns, torque = nasty(name, made)
     bounds = bounds_from_data(columns, torque)
-    trials = run_trials(columns, torque, bounds, PRESETS["default"], trials=20, seed=0, workers=1)
+    trials = run_trials(columns, torque, bounds, PRESETS["default"], trials=8, seed=0, workers=1)
     exact = least_absolute_deviations(columns, torque)
     assert max(exact.relative_gap(float(fitness)) for fitness in trials.fitness) < 1e-6
 

@@ -116,6 +116,18 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("written")
 
 
+def closed_form(
+    *, samples: int = 2000, rate: float = 500.0, kc: float = 0.02, bc: float = 2e-4, noise: float = 0.0, seed: int = 0
+) -> dict[str, Array]:
+    """The channels of a linear joint that moves in two sines: torque = kc*dtheta + bc*rate + noise."""
+    time = np.arange(samples) / rate
+    slow, fast = 2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1
+    dtheta = 0.2 * np.sin(slow * time) + 0.1 * np.sin(fast * time)
+    velocity = 0.2 * slow * np.cos(slow * time) + 0.1 * fast * np.cos(fast * time)
+    torque = kc * dtheta + bc * velocity + noise * np.random.default_rng(seed).standard_normal(samples)
+    return {"time": time, "torque": torque, "dtheta": dtheta}
+
+
 @pytest.fixture
 def make_recording(tmp_path: Path, written: Path) -> Maker:
     """Write a recording with a known answer: torque = kc*dtheta + bc*rate + noise, all in closed form."""
@@ -136,12 +148,7 @@ def make_recording(tmp_path: Path, written: Path) -> Maker:
         if change is None and kept.exists():
             shutil.copyfile(kept, path)
             return path
-        time = np.arange(samples) / rate
-        slow, fast = 2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1
-        dtheta = 0.2 * np.sin(slow * time) + 0.1 * np.sin(fast * time)
-        velocity = 0.2 * slow * np.cos(slow * time) + 0.1 * fast * np.cos(fast * time)
-        torque = kc * dtheta + bc * velocity + noise * np.random.default_rng(seed).standard_normal(samples)
-        channels = {"time": time, "torque": torque, "dtheta": dtheta}
+        channels = closed_form(samples=samples, rate=rate, kc=kc, bc=bc, noise=noise, seed=seed)
         if change is not None:
             change(channels)
         write(path, Header(profile={"kind": "imported"}, stand_toml=stand), channels, force=True)

@@ -61,9 +61,9 @@ def test_a_message_about_a_recording_names_no_option_of_hil_record_but_by_again(
 @pytest.mark.parametrize(
     ("kind", "model"),
     [
-        ("imported", "auto"),
+        ("imported", "linear"),
         ("sine", "linear+coulomb"),
-        pytest.param("imported", "linear", marks=pytest.mark.study),
+        pytest.param("imported", "auto", marks=pytest.mark.study),
         pytest.param("sine", "auto", marks=pytest.mark.study),
     ],
 )

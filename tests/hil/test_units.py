@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import pytest
 
@@ -124,8 +122,3 @@ def test_a_number_may_carry_its_unit(text: str, dimensions: tuple[str, ...], val
 def test_what_is_no_quantity_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(WrongUse, match=r"such as '10 mN\*m' or '10 mrad'|write '10 mN\*m' or '10 mrad'"):
         quantity(text, "torque", "angle")
-
-
-def test_neither_hil_nor_its_command_line_imports_pint_where_nobody_writes_a_unit() -> None:
-    code = "import sys, hil, hil.cli.app, hil.exchange.importer; sys.exit('pint' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

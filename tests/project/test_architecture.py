@@ -80,27 +80,33 @@ def test_only_the_command_line_prints_or_exits() -> None:
     assert {path: where for path, where in loud.items() if "/cli/" not in path and path != ENDS_A_COPY} == {}
 
 
-def test_asking_for_help_loads_nothing_heavy() -> None:
+LOADING = """
+import contextlib, io, sys
+before = set(sys.modules)
+import hil
+loaded = set(sys.modules) - before
+assert {name.partition(".")[0] for name in loaded} - set(sys.stdlib_module_names) == {"hil"}, loaded
+assert len(loaded) < 50, loaded
+
+def none_of(*names):
+    assert not set(names) & set(sys.modules), set(names) & set(sys.modules)
+
+from hil.cli.app import main
+sys.argv = ["hil", "--help"]
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()) as said:
+    main()
+assert "identify" in said.getvalue()
+none_of("numpy", "h5py", "numba", "scipy", "pydantic", "matplotlib", "can", "serial", "rich.console")
+from hil.stand.file import SIMULATED, parse
+parse(SIMULATED)
+none_of("dynamixel_sdk", "serial", "can", "canopen", "drivers.dynamixel.config")
+import hil.exchange.importer
+none_of("pint")  # where nobody writes a unit
+import hil.api.analysis
+none_of("scipy.optimize", "scipy.signal", "scipy.stats", "scipy.ndimage")  # a tenth of a short run
+"""
+
+
+def test_each_step_loads_only_what_it_needs() -> None:
     """Start-up is part of speed; an absolute time would be the machine's, so the modules are counted."""
-    code = (
-        "import sys\n"
-        "sys.argv = ['hil', '--help']\n"
-        "from hil.cli.app import main\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'h5py', 'numba', 'scipy', 'pydantic', 'matplotlib', 'can', 'serial', 'rich.console'}\n"
-        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)\n"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stderr.strip() == "[]"
-    assert "identify" in run.stdout
-
-
-def test_identifying_loads_none_of_the_slow_parts_of_scipy() -> None:
-    """They take a tenth of a short run; what needs one imports it where it is needed."""
-    code = (
-        "import sys, hil.api.analysis\n"
-        "print([name for name in ('optimize', 'signal', 'stats', 'ndimage') if f'scipy.{name}' in sys.modules])\n"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == "[]"
+    subprocess.run([sys.executable, "-c", LOADING], check=True)

@@ -155,7 +155,12 @@ def test_the_excitation_of_the_page_is_recorded_and_identified(tmp_path: Path, m
     exec(compile(block("excitation"), "docs/extending.md", "exec"), made)  # noqa: S102
     monkeypatch.setattr(excitation, "EXCITATIONS", {**excitation.EXCITATIONS, "stepped": made["STEPPED_SINE"]})
     path = tmp_path / "a.h5"
-    assert run(["record", "--backend", "sim", "--profile", "stepped", "--duration", "12", "-o", str(path)]) == 0
+    assert (
+        run(
+            ["record", "--backend", "sim", "--profile", "stepped", "--duration", "12", "--rate", "250", "-o", str(path)]
+        )
+        == 0
+    )
     identified = identify(
         [path], parse("linear"), Search("default", PRESETS["default"], trials=2, seed=0, workers=1, bounds={})
     )

@@ -55,7 +55,7 @@ def changed(draw: st.DrawFn, seeds: tuple[bytes, ...], *, is_text: bool) -> byte
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_changed_bytes_are_read_or_declined_in_a_sentence(parsers: Any, name: str, data: st.DataObject) -> None:
     parser = parsers.PARSERS[name]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -37,6 +38,7 @@ EXCEPTIONS = {
 }
 
 
+@cache
 def texts() -> list[tuple[str, str]]:
     """Every module and page by its name: the packages from where they are installed, the rest from beside the tests."""
     spec = find_spec("hil")

@@ -195,7 +195,7 @@ class Reference:
 def test_the_plant_agrees_with_an_independent_solver_that_stops_at_every_corner(name: str) -> None:
     parameters = SimParameters(coupling=COUPLINGS[name])
     hold = 4e-3
-    demands = 1.5e-3 * np.sin(2.0 * np.pi * 9.0 * hold * (np.arange(28) + 1.0))
+    demands = 1.5e-3 * np.sin(2.0 * np.pi * 9.0 * hold * (np.arange(18) + 1.0))
     states = swept(parameters, demands, hold)
     expected, tau = Reference(parameters).sweep(demands, hold)
     for component, other in ((plant.MOTOR, 1), (plant.MOTOR_RATE, 2), (plant.JOINT, 3), (plant.CELL, 7)):

@@ -182,10 +182,10 @@ READINGS = [
 def test_turning_hopeless_children_away_changes_nothing(
     paper_like: Data, engine: Any, selection: Any, replacement: Any
 ) -> None:
-    settings = replace(SHORT, selection=selection, replacement=replacement, generations=30_000)
+    settings = replace(SHORT, selection=selection, replacement=replacement, generations=6000)
     data = (paper_like.columns, paper_like.torque)
     with_all: Engine = grow(*data, PAPER_BOUNDS) if engine is grow else pack(*data)
-    end = 30_000 if engine is grow else 3000
+    end = 6000 if engine is grow else 3000
     populations = [begin(with_all, PAPER_BOUNDS, settings, seed=5, trial=0) for _ in range(2)]
     for until in (100, 101, 102, 999, end):  # what is open at the end of a piece is settled there
         for population, reject in zip(populations, (True, False), strict=True):
@@ -201,7 +201,7 @@ def test_turning_hopeless_children_away_changes_nothing_in_the_default_preset(pa
         data = (paper_like.columns, paper_like.torque)
         engine: Engine = grow(*data, PAPER_BOUNDS) if boxes else pack(*data)
         population = begin(engine, PAPER_BOUNDS, PRESETS["default"], seed=5, trial=0)
-        advance(engine, PAPER_BOUNDS, PRESETS["default"], population, 20_000, reject=reject)
+        advance(engine, PAPER_BOUNDS, PRESETS["default"], population, 6000, reject=reject)
         ends.append(population)
     for one, other in zip(*ends, strict=True):
         assert np.array_equal(one, other)

@@ -26,12 +26,12 @@ def unsigned(words: Words) -> Words:
 def test_a_tournament_draws_different_chromosomes_each_with_the_same_probability() -> None:
     order, words = np.arange(10), unsigned(load(seeded(0, 0)))
     counts = np.zeros(10)
-    for _ in range(10_000):
+    for _ in range(3_000):
         words = sample_distinct(order, 3, unsigned(words))
         assert len(set(order[:3])) == 3
         counts[order[:3]] += 1
     assert sorted(order) == list(range(10))
-    assert np.sum((counts - 3000.0) ** 2 / 3000.0) < 33.7
+    assert np.sum((counts - 900.0) ** 2 / 900.0) < 33.7
 
 
 @pytest.mark.parametrize(("larger", "never"), [(False, {8, 9}), (True, {0, 1})])
@@ -91,13 +91,13 @@ def test_children_of_an_ensemble_are_spread_as_their_parents_are() -> None:
     rng, words = np.random.default_rng(3), unsigned(load(seeded(3, 0)))
     genes = rng.normal(size=(6, 2)) @ np.array([[1.0, 50.0], [0.0, 0.1]]) + np.array([5.0, -7.0])
     parents, centre = np.arange(6), np.array([1.0, 2.0])
-    children = np.empty((40_000, 2))
+    children = np.empty((8_000, 2))
     for i in range(len(children)):
         children[i] = centre
         words = ensemble_crossover(genes, parents, 1.0, children[i], unsigned(words))
     assert np.all(np.abs(children.mean(axis=0) - centre) < 4.0 * children.std(axis=0) / np.sqrt(len(children)))
     wanted = np.cov(genes.T, bias=True)
-    assert np.cov(children.T) == pytest.approx(wanted, rel=0.03)
+    assert np.cov(children.T) == pytest.approx(wanted, rel=0.07)
 
 
 def test_clamping_sets_only_what_is_outside() -> None:

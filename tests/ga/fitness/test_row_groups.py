@@ -24,7 +24,7 @@ def rows_of(tree: Tree, item: int) -> range:
     return range(item, item + 1) if group < 0 else range(*tree.contents[group, [FIRST_ROW, END_ROW]].tolist())
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(n=st.integers(1, 2000), p=st.integers(1, 4), seed=st.integers(0, 2**32 - 1))
 def test_a_group_holds_its_parts_and_bounds_the_residuals_of_its_rows(n: int, p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

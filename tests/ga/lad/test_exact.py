@@ -77,7 +77,7 @@ def test_ties_never_cost_the_proof(kind: str) -> None:
         assert least_absolute_deviations(columns, torque).certificate <= 1e-12
 
 
-@pytest.mark.parametrize("p", [2, 5, 8])
+@pytest.mark.parametrize("p", [2, 8])
 @pytest.mark.parametrize("kind", ["normal", "outliers", "counts", "repeated rows"])
 def test_bracketing_a_long_recording_gives_the_proven_optimum(kind: str, p: int) -> None:
     columns, torque = recording(kind, 30_000, p, np.random.default_rng(p))
@@ -161,7 +161,7 @@ def test_data_with_a_nan_are_refused() -> None:
         least_absolute_deviations(np.array([[np.nan], [1.0]]), np.ones(2))
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(
     rows=st.lists(st.tuples(st.integers(-5, 5), st.integers(-3, 3)), min_size=1, max_size=40),
     slack=st.floats(0.0, 0.99),
@@ -188,7 +188,7 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
 @pytest.mark.parametrize("kind", ["plain", "outliers", "counts", "repeated rows", "collinear", "a zero column"])
 @pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
 def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
-    for seed in range(20):
+    for seed in range(6):
         columns, torque = recording(kind, 5000 if seed % 4 == 0 else 300, 4, np.random.default_rng(seed))
         plain = least_absolute_deviations(columns, torque)
         near = plain.genes * (1.0 + off) + off * (plain.genes == 0.0)
@@ -203,8 +203,8 @@ def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: f
 def test_rows_that_are_not_too_many_take_the_short_way_to_the_optimum_of_the_long_one(
     kind: str, is_near: bool, rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for seed in range(20):
-        columns, torque = recording(kind, rows, 1 + seed % 6, np.random.default_rng(seed))
+    for seed in range(6):
+        columns, torque = recording(kind, rows, 1 + seed, np.random.default_rng(seed))
         short = solve_few(columns, torque, np.ones(columns.shape[1]) if is_near else None)
         with monkeypatch.context() as without:
             without.setattr(exact, "solve_few", lambda *_: None)
@@ -219,7 +219,7 @@ def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
         assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
 def test_with_signs_it_is_the_optimum_of_the_linear_programme_with_bounds(kind: str, n: int, p: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -134,7 +134,7 @@ def test_data_without_noise_are_fitted_exactly() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-3])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_search_is_better_than_the_optimum_it_is_compared_with(noise: float, seed: int) -> None:
     """Without noise both are rounding, and which is the smaller would be chance."""
     rng = np.random.default_rng(seed)

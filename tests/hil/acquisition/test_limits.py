@@ -60,7 +60,7 @@ def angle(value: Callable[[int, float], float]) -> Change:
     return change
 
 
-@pytest.mark.parametrize("size", [0.01, 0.5, 1.0])
+@pytest.mark.parametrize("size", [0.01, 1.0])
 def test_a_sound_run_up_to_its_limits_is_never_ended(size: float) -> None:
     assert ended(lambda _tick, *reading: reading, size=size, seconds=20.0) is None
 
@@ -121,11 +121,11 @@ def test_a_frozen_temperature_is_noticed_under_load_only() -> None:
     def frozen(_: int, sample: Sample, joint: AtJoint) -> Reading:
         return replace(sample, temperature=30.0), joint
 
-    end = ended(frozen, size=0.9, seconds=700.0, rate=40.0)
+    end = ended(frozen, size=0.9, seconds=700.0, rate=20.0)
     assert end is not None
     assert "sensor is frozen" in str(end[1])
-    assert 300.0 < end[0] / 40.0 < 700.0  # the torque is above half its limit for six tenths of the time
-    assert ended(frozen, size=0.3, seconds=700.0, rate=40.0) is None
+    assert 300.0 < end[0] / 20.0 < 700.0  # the torque is above half its limit for six tenths of the time
+    assert ended(frozen, size=0.3, seconds=700.0, rate=20.0) is None
 
 
 def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_stops_in_the_middle_may_not() -> None:
@@ -139,7 +139,7 @@ def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_sto
 
         return change
 
-    assert ended(warming(math.inf, 1.0), size=0.9, seconds=2000.0, rate=20.0) is None
+    assert ended(warming(math.inf, 1.0), size=0.9, seconds=1200.0, rate=20.0) is None
     end = ended(warming(60.0, 0.1), size=0.9, seconds=900.0, rate=20.0)
     assert end is not None
     assert "sensor is frozen" in str(end[1])

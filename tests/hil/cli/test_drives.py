@@ -135,6 +135,7 @@ def test_a_kill_ends_an_emulator_cleanly(tmp_path: Path) -> None:
     assert not link.is_symlink()
 
 
+@pytest.mark.study
 def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) -> None:
     stand = stand_file(tmp_path)
     recording = tmp_path / "run.h5"

@@ -31,12 +31,9 @@ def put(name: str, value: float, at: slice = slice(None)) -> Change:
 
 REFUSED: dict[str, tuple[Change, str]] = {
     "huge": (times(1e300, "torque", "dtheta"), "usable sample"),
-    "huge angle": (times(1e200, "dtheta"), "usable sample"),
     "beyond a double": (times(1e308, "torque"), "usable sample"),
     "tiny angle": (times(1e-300, "dtheta"), "the deflection never changes"),
     "tiny torque": (times(1e-300, "torque"), "the torque never changes"),
-    "constant torque": (put("torque", 0.1), "the torque never changes"),
-    "huge time": (times(1e300, "time"), "usable sample"),
     "tiny time": (times(1e-300, "time"), "apart, which no recorder does"),
     "no time": (put("time", math.nan), "usable sample"),
 }

@@ -73,7 +73,7 @@ def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
 
         monkeypatch.setattr(hil.doctor.examine, "open_servo", opened)
         checks = CheckList()
-        examine(checks, stand_at("loop://"), quantity, **{"rate": 400.0, "move": True} | words)
+        examine(checks, stand_at("loop://"), quantity, **{"rate": 200.0, "move": True} | words)
         return checks
 
     return run_it
@@ -88,7 +88,7 @@ def message(checks: CheckList, name: str) -> str:
     return next(check.message for check in checks.checks if check.name == name)
 
 
-@pytest.mark.parametrize("quantity", list(Quantity))
+@pytest.mark.parametrize("quantity", [Quantity.POSITION])
 def test_a_sound_stand_passes_every_check_is_left_with_its_torque_off_and_no_file_is_written(
     make_rig: Callable[..., Any], examine_rig: Examine, quantity: Quantity, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -132,10 +132,9 @@ def test_the_errors_of_auto_are_at_least_those_of_every_model_it_considers() -> 
 def test_a_tighter_limit_is_the_one_that_limits() -> None:
     for name, before, after in (
         ("deflection", "deflection = 1.0", "deflection = 0.1"),
-        ("velocity", "velocity = 100.0", "velocity = 5.0"),
         ("torque", "torque = 0.03", "torque = 0.003"),
     ):
-        assert best(task(text=SIMULATED.replace(before, after)), 1.0).limited_by in {name, f"drive {name}"}
+        assert best(task(text=SIMULATED.replace(before, after)), 0.5).limited_by in {name, f"drive {name}"}
 
 
 def test_the_command_it_prints_records_without_passing_a_limit(
@@ -206,7 +205,6 @@ def test_an_excitation_too_weak_to_identify_the_damping_is_warned_of() -> None:
     ("words", "sentence"),
     [
         (["--kc", "0"], "--kc 0: a coupling has more than zero N m/rad"),
-        (["--bc", "-1"], "--bc -1"),
         (["--kc", "nan"], "--kc 'nan' is not a number"),
         (["--torque-noise", "0"], "--torque-noise 0"),
         (["--band", "1:200"], "needs a rate of at least 800 Hz"),

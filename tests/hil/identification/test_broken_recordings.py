@@ -29,10 +29,11 @@ def torque_of_half_the_time(channels: dict[str, Array]) -> None:
     channels["torque"][len(channels["time"]) // 2 :] = 0.0
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("change", "samples", "rate"),
     [
-        pytest.param(ramp_beside_one_jump, 4000, 1000.0, marks=pytest.mark.study),
+        (ramp_beside_one_jump, 4000, 1000.0),
         (torque_of_half_the_time, 400, 250.0),
     ],
 )

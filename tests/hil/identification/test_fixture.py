@@ -23,8 +23,8 @@ OMEGAS = (2.0 * math.pi * 1.3, 2.0 * math.pi * 7.1)
 
 def in_series(folder: Path) -> Path:
     """Two sines on joint and fixture in series, each at its own frequency in closed form."""
-    time = np.arange(4000) / 500.0
-    dtheta, torque = np.zeros(4000), 1e-5 * np.random.default_rng(0).standard_normal(4000)
+    time = np.arange(2000) / 500.0
+    dtheta, torque = np.zeros(2000), 1e-5 * np.random.default_rng(0).standard_normal(2000)
     for amplitude, omega in zip((0.2, 0.1), OMEGAS, strict=True):
         joint, held = KC + 1j * omega * BC, FIXTURE[0] + 1j * omega * FIXTURE[1]
         wave: Array = amplitude * np.exp(1j * omega * time)
@@ -36,7 +36,7 @@ def in_series(folder: Path) -> Path:
 
 
 def test_a_fixture_softer_than_the_joint_is_refused(make_recording: Maker, capfd: pytest.CaptureFixture[str]) -> None:
-    joint, rig = make_recording(noise=1e-5), make_recording("rig.h5", kc=0.01, noise=1e-5)
+    joint, rig = (make_recording(f"{kc}.h5", kc=kc, samples=600, noise=1e-5) for kc in (0.02, 0.01))
     assert run(["identify", str(joint), "--fixture", str(rig), "--model", "linear", "--trials", "1"]) == 1
     assert "softer than the joint" in capfd.readouterr().err
 
@@ -53,10 +53,6 @@ def test_the_fixture_is_taken_off_the_result_and_named_with_what_it_gave(
     """Two parts in series are not linear, whether that moves Kc or Bc out of its interval or not."""
     joint = in_series(tmp_path)
     rig = make_recording("rig.h5", kc=FIXTURE[0], bc=FIXTURE[1], noise=1e-5)
-    run(["identify", str(joint), "--model", "linear", "--trials", "1", "--json"])
-    plain = json.loads(capfd.readouterr().out)
-    assert plain["fixture"] is None
-    assert plain["parameters"]["Kc"]["value"] == pytest.approx(1.0 / (1.0 / KC + 1.0 / FIXTURE[0]), rel=0.03)
     status, found = identified(capfd, joint, rig)
     assert (status, found["warnings"] + found["errors"], found["fixture"]["recording"]) == (0, [], str(rig))
     assert found["fixture"]["parameters"]["Kc"]["value"] == pytest.approx(FIXTURE[0], rel=1e-3)
@@ -71,8 +67,8 @@ def test_the_fixture_is_taken_off_the_result_and_named_with_what_it_gave(
 def test_a_recording_that_cannot_tell_the_fixture_cannot_correct_for_it(
     make_recording: Maker, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    joint = make_recording(noise=1e-5)
-    rig = make_recording("rig.h5", kc=0.15, bc=1e-3, noise=0.5)  # nothing of it is seen but noise
+    joint = make_recording(samples=600, noise=1e-5)
+    rig = make_recording("rig.h5", samples=600, kc=0.15, bc=1e-3, noise=0.5)  # nothing of it is seen but noise
     status, found = identified(capfd, joint, rig)
     assert status == 1
     assert {said["code"] for said in found["errors"]} == {"unusable"}

@@ -67,7 +67,7 @@ def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(
 
 def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
     mean = np.exp(-1j * np.outer(OMEGA, 2e-3 * np.arange(10))).mean(axis=1)
-    found = identified(make_recording, mean, "linear+skew+mean")
+    found = identified(make_recording, mean, "linear+skew+mean", samples=1200)
     assert found["Bc"].value == pytest.approx(BC, rel=0.03)
     (said,) = [one for one in found.diagnostics if one.code == "filtered-torque"]
     assert not said.is_error
@@ -98,7 +98,8 @@ def test_a_lag_in_slow_motion_takes_the_trust_from_bc_and_not_from_kc(make_recor
     assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
 
 
-@pytest.mark.parametrize("late", [pytest.param("lag", marks=pytest.mark.study), "delay"])
+@pytest.mark.study
+@pytest.mark.parametrize("late", ["lag", "delay"])
 def test_a_late_reading_that_does_not_show_is_in_the_interval_of_bc(make_recording: Maker, late: str) -> None:
     """A lag of 2 ms leaves a fifth of Bc out, a delay of 0.8 ticks a sixth."""
     omega = 2.0 * np.pi * np.arange(0.25, 1.6, 0.25)
@@ -112,6 +113,7 @@ def test_a_late_reading_that_does_not_show_is_in_the_interval_of_bc(make_recordi
     assert found["Kc"].ci95[0] < KC < found["Kc"].ci95[1]
 
 
+@pytest.mark.study
 def test_a_fast_motion_decides_on_a_late_reading_and_its_chance_costs_nothing(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

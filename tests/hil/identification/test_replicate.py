@@ -16,15 +16,17 @@ from hil.report.replication import as_json, replication_lines, write_page
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Replication:
     folder = tmp_path_factory.mktemp("replicate")
-    return experiment.replicate(folder, evaluations=5_000, trials=4, seed=0, workers=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(experiment, "_MEASURE", 0.05)
+        return experiment.replicate(folder, evaluations=2_000, trials=3, seed=0, workers=1)
 
 
 def test_it_is_the_papers_experiment_at_the_scale_asked_for(done: Replication) -> None:
     found = done.identification
     with Recording(found.recordings[0]) as recording:
         assert len(recording) == 2500
-    assert (found.preset, len(found.trials.fitness)) == ("paper", 4)
-    assert found.trials.evaluations == 4 * (10 + 5_000)
+    assert (found.preset, len(found.trials.fitness)) == ("paper", 3)
+    assert found.trials.evaluations == 3 * (10 + 2_000)
 
 
 def test_the_reported_rates_are_the_measured_ones(done: Replication) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import NamedTuple, cast
 
@@ -99,12 +100,17 @@ def selected(torque: Array, moved: Moved, highest: float = HIGHEST) -> Selection
     return select(motion, torque, highest)
 
 
+@cache
+def case(name: str) -> Selection:
+    moved = chirp(TIME)
+    return selected(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.study if name.count("+") > 1 else ()) for name in CASES]
 )
 def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
-    moved = chirp(TIME)
-    found = selected(CASES[name](moved) + 2e-4 * np.random.default_rng(1).standard_normal(SAMPLES), moved)
+    found = case(name)
     assert found.model.name == name
     top = [step for step in found.steps if step.included][-1]
     assert top.Kc == pytest.approx(KC, rel=1e-2)
@@ -112,9 +118,7 @@ def test_the_terms_that_are_there_are_taken_and_no_others(name: str) -> None:
 
 
 def test_each_rung_says_what_its_term_gains_and_does_to_stiffness_and_damping() -> None:
-    moved = chirp(TIME)
-    torque = CASES["linear+coulomb"](moved) + 2e-4 * np.random.default_rng(2).standard_normal(SAMPLES)
-    first, second, *others = selected(torque, moved).steps
+    first, second, *others = case("linear+coulomb").steps
     assert (first.term, first.included) == ("linear", True)
     assert np.isnan(first.gain)
     assert (second.term, second.included) == ("coulomb", True)
@@ -508,6 +512,7 @@ def test_a_plainer_law_is_held_against_the_model_chosen_and_not_against_one_in_b
     assert steps.plainest(fits.candidate(("linear", "offset", "lugre"))).terms[-1] == "dahl"
 
 
+@pytest.mark.study
 def test_friction_whose_turning_is_smooth_gives_way_to_no_gap(monkeypatch: pytest.MonkeyPatch) -> None:
     """A gap leaves nothing that rubs; it was as likely because smooth did nothing there."""
     moved, motion = slow()
@@ -693,6 +698,7 @@ def test_a_branch_in_place_of_a_late_reading_is_any_of_those_that_stiffen_fast_m
     assert [one.Kc for one in found] == pytest.approx([KC] * 3, rel=1e-3)
 
 
+@pytest.mark.study
 def test_beside_a_branch_a_second_one_stands_in_place_of_a_late_reading() -> None:
     """Of branches of 30 and of 3 ms the latter looks like a late reading. No model has the second without the first."""
     moved, noise = chirp(TIME), 1e-5 * np.random.default_rng(1).standard_normal(SAMPLES)

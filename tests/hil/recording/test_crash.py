@@ -165,13 +165,13 @@ def test_a_recording_of_few_rows_is_looked_at_or_refused_in_a_sentence(tmp_path:
     part = RecordingWriter(tmp_path / "a.h5", header, 70, batch=1)
     seen = []
     for seq in range(66):
-        if seq < 20 or seq % 9 == 0:
+        if seq in {0, 1, 15, 16, 17, 40, 63}:
             with suppress(Untrustworthy):
                 seen.append(inspect(part.path).samples)
         t, swing = seq / 500.0, math.sin(seq / 9.0)
         part.append(Row(seq, time=t, read_time=t, torque=0.006 * swing, dtheta=0.3 * swing, temperature=30.0))
     part.close()
-    assert seen == [16, 17, 18, 19, 27, 36, 45, 54, 63]
+    assert seen == [16, 17, 40, 63]
 
 
 # --- a name that is lost ---------------------------------------------------------------------------------------------

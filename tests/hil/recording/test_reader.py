@@ -288,7 +288,7 @@ def test_a_changed_sample_does_not_verify(tmp_path: Path) -> None:
         assert not recording.verify()
 
 
-@pytest.mark.parametrize("packed", [{"chunks": (5,)}, {"compression": "lzf"}, {"dtype": ">f8"}, {}])
+@pytest.mark.parametrize("packed", [{"chunks": (5,)}, {"dtype": ">f8"}])
 def test_rows_that_another_program_packed_anew_are_held_to_their_own_hash(
     tmp_path: Path, packed: dict[str, Any]
 ) -> None:
@@ -654,7 +654,7 @@ def test_a_row_without_readings_holds_its_number_only() -> None:
     assert np.isnan(readings).all()
 
 
-@pytest.mark.parametrize("name", ["version1.h5", "version1.h5.part", "version2.h5", "version2.h5.part"])
+@pytest.mark.parametrize("name", ["version1.h5", "version2.h5.part"])
 def test_a_recording_of_an_earlier_schema_is_read_by_the_names_of_today(tmp_path: Path, name: str) -> None:
     """The files were written by the last hil of their schema: `hil record --profile chirp --soft 0.1`, 41 samples."""
     path = tmp_path / name

@@ -210,7 +210,6 @@ def test_the_drives_own_velocity_is_not_trusted_where_there_is_a_position(tmp_pa
         (lambda channels: channels.update(torque=np.full(2000, np.nan)), "0 usable"),
         (lambda channels: channels["time"].__setitem__(700, 0.0), "goes backwards"),
         (lambda channels: channels.update(time=np.zeros(2000)), "same time"),
-        (lambda channels: channels["dtheta"].__imul__(1e-9), "never changes"),
     ],
 )
 def test_a_recording_from_which_nothing_follows_is_refused(make_recording: Maker, change: object, said: str) -> None:
@@ -247,10 +246,10 @@ def test_a_joint_that_rests_wherever_its_rate_is_known_identifies_nothing(make_r
 @pytest.mark.parametrize("source", ["motor", "joint"])
 def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source: Literal["motor", "joint"]) -> None:
     rng = np.random.default_rng(4)
-    time = np.arange(6000) / 500.0 + 2e-5 * rng.standard_normal(6000)
-    dtheta = 0.2 * np.sin(2 * np.pi * 2.0 * time) + 1e-4 * rng.standard_normal(6000)
-    torque = 0.02 * dtheta + 1e-4 * rng.standard_normal(6000)
-    torque[rng.choice(6000, 60)] = np.nan
+    time = np.arange(3000) / 500.0 + 2e-5 * rng.standard_normal(3000)
+    dtheta = 0.2 * np.sin(2 * np.pi * 2.0 * time) + 1e-4 * rng.standard_normal(3000)
+    torque = 0.02 * dtheta + 1e-4 * rng.standard_normal(3000)
+    torque[rng.choice(3000, 60)] = np.nan
     channels = {
         "time": time,
         "torque": torque,
@@ -262,8 +261,8 @@ def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source
     write(path, Header(profile={"kind": "imported"}), channels)
     stand = StandTable(gear_ratio=4.0, motor_inertia=2e-7, motor_damping=1e-7, torque_source=source)
     with Recording(path) as recording:
-        whole, parts = prepare(recording, stand), list(LongRecording(recording, stand).stream(block=1700))
-    assert len(parts) == 4
+        whole, parts = prepare(recording, stand), list(LongRecording(recording, stand).stream(block=1100))
+    assert len(parts) == 3
     together = joined(parts)
     np.testing.assert_allclose(together.torque, whole.torque, rtol=1e-9, atol=1e-12)
     for name in ("time", "dtheta", "dtheta_dot", "dtheta_ddot", "known"):

@@ -13,7 +13,7 @@ from hil.signals.rate.savitzky_golay import DEGREE, gain, kernel, local_polynomi
 Array = NDArray[np.float64]
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(st.integers(6, 30), st.integers(0, 2**32 - 1))
 def test_it_gives_back_any_polynomial_of_its_degree_on_any_stamps(half: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -65,7 +65,7 @@ def by_least_squares(time: Array, values: Array, half: int) -> Array:
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.5], ids=["even stamps", "nearly even", "uneven"])
-@pytest.mark.parametrize("half", [4, 9, 40])
+@pytest.mark.parametrize("half", [4, 40])
 def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(half: int, jitter: float) -> None:
     rng = np.random.default_rng(half)
     time = (np.arange(300) + rng.uniform(0.0, jitter, 300)) / 500.0
@@ -99,10 +99,10 @@ def test_a_gap_in_time_costs_only_the_windows_that_span_it() -> None:
 @pytest.mark.parametrize("jitter", [0.0, 0.5], ids=["even stamps", "uneven"])
 def test_a_long_recording_in_threads_gives_what_its_parts_give(jitter: float) -> None:
     rng = np.random.default_rng(0)
-    time = (np.arange(120_000) + rng.uniform(0.0, jitter, 120_000)) / 500.0
+    time = (np.arange(80_000) + rng.uniform(0.0, jitter, 80_000)) / 500.0
     values = np.sin(time)
     whole = local_polynomial(time, values, 20, 1)
-    for begin in range(0, 120_000, 15_000):
+    for begin in range(0, 80_000, 15_000):
         part = slice(begin, begin + 15_000)
         inner = local_polynomial(time[part], values[part], 20, 1)[40:-40]
         np.testing.assert_allclose(whole[part][40:-40], inner, rtol=0.0, atol=1e-10)

@@ -33,7 +33,7 @@ def held(at: Array, values: Array) -> Array:
     return np.asarray(values[np.searchsorted(at, TICKS, side="right") - 1])
 
 
-@pytest.mark.parametrize("hertz", [30.0, 80.3, 137.0, 217.0])
+@pytest.mark.parametrize("hertz", [30.0, 80.3, 217.0])
 def test_a_held_cell_is_read_when_it_converted(hertz: float) -> None:
     at = conversions(hertz)
     logged = held(at, noisy(at))

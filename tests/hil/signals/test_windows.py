@@ -99,7 +99,7 @@ def test_the_lines_that_counts_make_of_a_steady_motion_are_no_motion_beyond_its_
     motion = np.sin(np.pi * np.outer(time, np.arange(1, 80, 2))) @ (wave * (-1.0) ** np.arange(40))
     motion *= 0.05 / np.abs(motion).max()
     highest = window_for(time, motion, 0.3 * motion).band[1]
-    for count in 0.1 / np.array([150, 330, 700]):
+    for count in 0.1 / np.array([150, 700]):
         found = window_for(time, count * np.round(motion / count), 0.3 * motion)
         assert found.band[1] < 20.0
         assert found.band[1] == pytest.approx(highest, rel=0.2)
@@ -181,7 +181,7 @@ def _chirp() -> Array:
     return np.asarray(0.2 * np.sin(2.0 * np.pi * 0.3 * np.expm1(growth * time) / growth))
 
 
-@pytest.mark.parametrize("ticks", [4, 8, 16])
+@pytest.mark.parametrize("ticks", [4, 16])
 def test_the_ripple_of_set_points_that_are_held_is_no_part_of_the_excited_band(ticks: int) -> None:
     """At 16 ticks it has 3 % of the rate's power, and the band reached to 72 Hz."""
     held = np.repeat(_chirp()[:: 10 * ticks], 10 * ticks)[:100_000]

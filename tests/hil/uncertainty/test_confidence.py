@@ -100,7 +100,7 @@ def test_data_in_blocks_give_the_interval_of_data_in_one() -> None:
     np.testing.assert_allclose(parts.inflation, whole.inflation, rtol=1e-9)
 
 
-@pytest.mark.parametrize("true", [0.0, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("true", [0.0, 1.0])
 def test_the_interval_that_is_cut_at_zero_holds_a_damping_of_zero_or_just_above(true: float) -> None:
     """true: in standard errors of the damping. The value is never negative, and always in its interval."""
     time = np.arange(500) / 250.0
@@ -108,7 +108,7 @@ def test_the_interval_that_is_cut_at_zero_holds_a_damping_of_zero_or_just_above(
     rate += 3.1 * np.cos(31.0 * time)
     columns = np.stack([angle, rate, np.ones(500)], axis=1)
     damping = true * np.sqrt(0.5 * np.pi) / np.linalg.norm(rate)  # noise of 1: the median's error
-    held = np.zeros(100, dtype=bool)
+    held = np.zeros(60, dtype=bool)
     for seed in range(len(held)):
         torque = columns @ np.array([50.0, damping, 0.0]) + np.random.default_rng([seed, 7]).standard_normal(500)
         values = not_negative(columns, torque, (0, 1)).genes

@@ -36,10 +36,10 @@ class Case(NamedTuple):
 
 
 CASES = [
-    Case("multisine", (1.0, 15.0), "torque", 0.006, "linear+offset+coulomb", set()),
     Case("ramp", (0.5, 0.5), "position", 0.2, "linear", {"Bc"}),
 ]
 MORE = [
+    Case("multisine", (1.0, 15.0), "torque", 0.006, "linear+offset+coulomb", set()),
     Case("chirp", (0.5, 15.0), "torque", 0.006, "linear", set()),
     Case("prbs", (0.5, 15.0), "torque", 0.006, "linear", set()),
     Case("sine", (2.0, 2.0), "torque", 0.006, "linear", set()),

@@ -13,7 +13,7 @@ from hil.uncertainty.misfit import LackOfFit
 Array = NDArray[np.float64]
 
 KC, BC, NOISE = 0.3, 3e-3, 1e-3
-TIME = np.arange(8000) / 500.0
+TIME = np.arange(5000) / 500.0
 
 
 def moved() -> tuple[Array, Array, Array]:
@@ -69,9 +69,9 @@ WRONG = {
 
 @pytest.mark.parametrize("colour", ["white", "coloured", "heavy"])
 def test_a_model_that_describes_its_recording_is_not_rejected(colour: str) -> None:
-    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(5))
+    rejected = sum(judged(PLAIN + noise(seed, colour)).misfit for seed in range(2))
 
-    assert rejected <= 1  # two of 5 come about once in 25,000 where one in 500 is rejected
+    assert rejected <= 1  # both come about once in 250,000 where one in 500 is rejected
 
 
 def test_the_change_that_an_effect_makes_of_bc_is_told() -> None:
@@ -315,7 +315,7 @@ def test_a_spring_that_stiffens_is_no_gap(middle: float) -> None:
     assert suspected(KC * away + 3.0 * away**3 + BC * V) == ["cubic"]
 
 
-@pytest.mark.parametrize(("half", "middle"), [(0.002, 0.0), (0.006, 0.02), (0.01, 0.0), (0.03, 0.02), (0.05, 0.0)])
+@pytest.mark.parametrize(("half", "middle"), [(0.002, 0.0), (0.006, 0.02), (0.05, 0.0)])
 def test_a_gap_of_any_width_is_one(half: float, middle: float) -> None:
     beyond = X - middle - np.clip(X - middle, -half, half)
     assert "backlash" in suspected(KC * beyond + BC * V)
@@ -342,7 +342,7 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
 
 
 def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
-    times = 6
+    times = 5
     joined = Recorded(
         np.arange(times * len(TIME)) / 500.0,
         np.tile(WRONG["capstan"], times),
@@ -383,5 +383,5 @@ def test_a_fit_to_no_more_samples_than_it_has_parameters_is_not_judged(described
 
 
 def test_arrays_of_unequal_length_are_refused() -> None:
-    with pytest.raises(ValueError, match="8000 samples, 10 residuals"):
+    with pytest.raises(ValueError, match="5000 samples, 10 residuals"):
         lack_of_fit(Recorded(TIME, PLAIN, X, V), Fitted(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
