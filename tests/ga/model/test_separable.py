@@ -274,6 +274,7 @@ def test_a_shape_that_cannot_be_fitted_is_passed_over_in_the_search_for_a_valley
     assert np.isfinite(fit(problem).fitness)
 
 
+@pytest.mark.study
 def test_no_trial_is_better_than_the_best_fit_returned_with_them() -> None:
     """When flanks part depends on Bc/Kc, which is agreed on to a tolerance: solving again would end beside it."""
     asked = problem("linear+offset+backlash", with_play(0.06, 0.03))

@@ -86,9 +86,8 @@ def test_what_an_ascii_terminal_cannot_show_is_spelled_out(tmp_path: Path, monke
     assert place.read_text(encoding="ascii") == "Kc = 17.78 +/- 0.02 mN m/rad of Z\\xfcrich\n"
 
 
-@pytest.mark.parametrize(
-    "words", [("inspect",), pytest.param(("identify", "--model", "linear"), marks=pytest.mark.study)]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("words", [("inspect",), ("identify", "--model", "linear")])
 def test_a_picture_of_rows_beyond_any_bench_is_drawn(hil: Hil, make_recording: Maker, words: tuple[str, ...]) -> None:
     path = make_recording(change=partial(put("torque", 1.7e308, slice(0, 2000, 2))))
     option = ("--plot", "a") if words == ("inspect",) else ("--report", "a.html")

@@ -101,8 +101,11 @@ def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval()
 
 def test_an_uncertain_torque_is_said_to_be_the_same_in_all_recordings(make_recording: Maker) -> None:
     stand = STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]")
-    paths = [stamped(make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at), stand=stand) for at in range(2)]
+    each = [make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at) for at in range(2)]
+    paths = [stamped(path, float(at), stand, "imported") for at, path in enumerate(each)]
     found = compare(paths, parse_model("linear"), SEARCH)
+    assert [one.created for one in found.recordings] == [None] * 2  # the hour of an import is not that of the run
+    assert "time-unknown" in {diagnostic.code for diagnostic in found.diagnostics}
     assert [one.code for one in found.diagnostics].count("scale-in-common") == 1
     assert found.parameters[0].drift is None  # of two
 
@@ -137,15 +140,6 @@ def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recordi
     assert not alone.trustworthy
     assert alone.parameters[0].repeats is None
     assert "1 of 2 recordings identify it" in alone.parameters[0].verdict
-
-
-def test_the_hour_of_an_import_is_not_taken_for_the_hour_of_the_run(make_recording: Maker) -> None:
-    each = [make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at) for at in range(2)]
-    paths = [stamped(path, float(at), kind="imported") for at, path in enumerate(each)]
-    found = compare(paths, parse_model("linear"), SEARCH)
-    assert found.parameters[0].drift is None
-    assert [one.created for one in found.recordings] == [None] * 2
-    assert "time-unknown" in {diagnostic.code for diagnostic in found.diagnostics}
 
 
 @pytest.mark.study

@@ -172,7 +172,7 @@ def test_a_wrong_sign_is_the_answer_and_no_value_stands_beside_it(make_recording
     wrong = "(not identifiable: a sign is wrong)"
     assert headline(found) == f"Kc {wrong},  Bc {wrong}"
     assert [one.code for one in found.diagnostics if one.is_error] == ["implausible"]
-    for said in ("Kc would be -0.02 N m/rad", "A sign is wrong", "--torque-scale -1"):
+    for said in ("Kc would be -0.0201 N m/rad", "A sign is wrong", "--torque-scale -1"):
         assert said in found.diagnostics[0].message
     (work,) = summary_lines(found)
     assert work.startswith("excited band")

@@ -67,7 +67,7 @@ def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(
 
 def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
     mean = np.exp(-1j * np.outer(OMEGA, 2e-3 * np.arange(10))).mean(axis=1)
-    found = identified(make_recording, mean, "linear+skew+mean", samples=1200)
+    found = identified(make_recording, mean, "linear+skew+mean")
     assert found["Bc"].value == pytest.approx(BC, rel=0.03)
     (said,) = [one for one in found.diagnostics if one.code == "filtered-torque"]
     assert not said.is_error

@@ -149,13 +149,13 @@ def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_pa
 
 
 def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
-    part = RecordingWriter(tmp_path / "a.h5", HEADER, 70, batch=1)
-    for rows in range(71):
+    part = RecordingWriter(tmp_path / "a.h5", HEADER, 35, batch=1)
+    for rows in range(36):
         with Recording(part.path) as recording:
             assert (len(recording), recording.damaged, recording.verify()) == (rows, 0, True)
         if rows % 10 == 0:
             assert finalise(part.path, tmp_path / "b.h5", force=True) == (rows, 0, True)
-        if rows < 70:
+        if rows < 35:
             part.append(Row(rows, time=rows / 100.0, torque=0.5))
     part.close()
 

@@ -58,6 +58,7 @@ def test_the_first_and_the_last_generation_of_the_best_trial_are_handed_over(fou
     assert np.ptp(populations.last, axis=0)[0] < 1e-3 * np.ptp(populations.first, axis=0)[0]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("model", ["linear+backlash"])
 def test_the_modelled_torque_has_the_error_that_was_found(tmp_path: Path, model: str) -> None:
     """Of a model with nonlinear parameters too, some of which change what the others multiply."""

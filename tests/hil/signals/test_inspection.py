@@ -172,9 +172,7 @@ def test_a_wrong_sign_makes_a_recording_unusable(make_recording: Maker, sign: fl
     assert found.usable is (sign > 0.0)
 
 
-@pytest.mark.parametrize(
-    ("stiffness", "damping", "wrong"), [(0.02, 2e-4, False), (-0.02, -2e-4, True), (-0.02, 2e-4, False)]
-)
+@pytest.mark.parametrize(("stiffness", "damping", "wrong"), [(-0.02, -2e-4, True), (-0.02, 2e-4, False)])
 def test_at_one_frequency_an_inertia_is_no_wrong_sign(
     make_recording: Maker, stiffness: float, damping: float, *, wrong: bool
 ) -> None:

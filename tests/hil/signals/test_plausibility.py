@@ -27,7 +27,7 @@ LIMITS = "[stand]\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n
 def test_a_recording_that_its_stand_cannot_have_made_is_warned_of(
     tmp_path: Path, torque: float, angle: float, stand: str, codes: list[str]
 ) -> None:
-    time = np.arange(2000) / 500.0
+    time = np.arange(1000) / 500.0
     dtheta = 0.3 * np.sin(8.0 * time)
     noise = 1e-5 * np.random.default_rng(0).standard_normal(time.size)
     channels = {"time": time, "torque": torque * (0.02 * dtheta + noise), "dtheta": angle * dtheta}
@@ -48,7 +48,7 @@ def test_a_recording_that_its_stand_cannot_have_made_is_warned_of(
 def test_a_deflection_of_more_than_a_turn_is_an_error_unless_the_limits_allow_it(
     tmp_path: Path, angle: float, stand: str, *, trusted: bool
 ) -> None:
-    time = np.arange(2000) / 500.0
+    time = np.arange(1000) / 500.0
     dtheta = angle * 0.3 * np.sin(8.0 * time)
     noise = 1e-5 * np.random.default_rng(0).standard_normal(time.size)
     channels = {"time": time, "torque": 0.01 * dtheta + noise, "dtheta": dtheta}
@@ -66,7 +66,7 @@ def test_a_range_states_the_span_and_not_the_offset() -> None:
 
 
 def test_the_likely_unit_is_named(tmp_path: Path) -> None:
-    time = np.arange(2000) / 500.0
+    time = np.arange(1000) / 500.0
     channels = {"time": time, "torque": 6.0 * np.sin(8.0 * time), "dtheta": 17.2 * np.sin(8.0 * time)}
     write(tmp_path / "a.h5", Header(profile={"kind": "imported"}, stand_toml=LIMITS), channels)
     said = [one.message for one in inspect(tmp_path / "a.h5").diagnostics if one.code == "beyond-limits"]

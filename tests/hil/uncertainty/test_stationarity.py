@@ -129,7 +129,7 @@ def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Ma
         def change(channels: dict[str, Array]) -> None:
             channels["torque"] += zero
 
-        return make_recording(name, samples=600, noise=1e-4, seed=seed, change=change)
+        return make_recording(name, samples=1000, noise=1e-4, seed=seed, change=change)
 
     paths = [taken(f"{seed}.h5", seed, zero) for seed, zero in enumerate((1e-3, 1e-3, 3e-3))]
     result = identify(paths, parse("linear+offset"), SEARCH)
