@@ -55,9 +55,9 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given_without_lookin
 
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5, samples=600), "--json").json
-    keys = "schema recordings model preset seed parameters fitness samples trials evaluations seconds validation"
-    tests = ["warnings", "errors", "model_selection", "lack_of_fit", "dynamic_stiffness", "deflection"]
-    assert list(found) == [*keys.split(), *tests, "fixture"]
+    keys = "schema recordings model preset seed windows parameters fitness samples trials evaluations seconds"
+    tests = "validation warnings errors model_selection lack_of_fit dynamic_stiffness deflection fixture controller"
+    assert list(found) == [*keys.split(), *tests.split()]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/2", "linear", "default")
     kc = found["parameters"]["Kc"]
     assert {"value", "unit", "ci95", "conditional", "choice_share", "identifiable", "trusted"} <= set(kc)
