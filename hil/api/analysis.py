@@ -15,7 +15,7 @@ from ga.model.coupling import parse
 from hil.api.arrays import recorded
 from hil.api.recordings import LoadedRecording
 from hil.api.results import AnyPath, ComparisonResult, IdentificationResult, NoResult
-from hil.api.wording import worded
+from hil.api.wording import in_python, worded
 from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
 from hil.identification import user_model
@@ -154,7 +154,9 @@ def _result(task: Task, found: Identification | Untrustworthy) -> Identification
 
 def _no_result(task: Task, reason: Untrustworthy) -> NoResult:
     name = "auto" if task.model is None else task.model.name
-    return NoResult(str(reason), [path_of(one) for one in task.recordings], name, task.search.preset, task.search.seed)
+    return NoResult(
+        in_python(str(reason)), [path_of(one) for one in task.recordings], name, task.search.preset, task.search.seed
+    )
 
 
 @worded

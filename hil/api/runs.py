@@ -155,7 +155,7 @@ def record(
 def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], object] | None) -> list[Diagnostic]:
     """Call `warn` with the warnings that are known before the run; return these warnings."""
     if foreseen and warn is not None:
-        warn(foreseen)
+        warn(diagnostics_in_python(tuple(foreseen)))
     return foreseen
 
 

@@ -20,6 +20,7 @@ from hil.acquisition.limits import LimitReached
 from hil.api.wording import in_python, on_the_command_line
 from hil.diagnostics import Diagnostic
 from hil.recording.reader import Recording
+from hil.recording.writer import Header, write
 
 from .conftest import Hil, Maker
 
@@ -139,6 +140,11 @@ def test_errors_and_warnings_of_functions_name_no_option(make_recording: Maker) 
     assert found.diagnostics[0].message == "leave a term out of model="
     assert "error [misfit]: leave a term out of model=" in found.summary()
     assert "--" not in found.summary()
+    time = np.arange(600) / 500.0
+    still = path.with_name("still.h5")
+    write(still, Header(profile={"kind": "sine"}), {"time": time, "torque": np.sin(time), "dtheta": 0.0 * time})
+    [left] = api.identify_each([still], "linear")
+    assert "(amplitude=)" in str(left)
 
 
 @pytest.mark.study
