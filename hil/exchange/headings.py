@@ -44,7 +44,7 @@ def listed(titles: Sequence[str]) -> str:
 
 def names(title: str) -> list[str]:
     """Return the names by which a column can be found apart from its whole heading: the heading without the unit."""
-    ends = [name for name, *end in _at_the_end(title) if name and _dimensions(*end, name=name)]
+    ends = [name for name, text, mark in _at_the_end(title) if name and _dimensions(text, mark, name)]
     return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
 
@@ -58,7 +58,7 @@ def unit_of(title: str, dimension: str) -> str | None:
     bracketed = [unit for _, unit in _in_brackets(title)]
     plain = _BRACKETS.sub("", title.translate(_WIDE)).strip()
     stated = [unit for unit in bracketed if _is_of(dimension, unit)]
-    ends = next((found for name, *end in _at_the_end(plain) if (found := _dimensions(*end, name=name))), {})
+    ends = next((one for name, *end in _at_the_end(plain) if (one := _dimensions(end[0], end[1], name))), {})
     for unit in () if stated else bracketed:
         others = [one for one in units.SI if _counts(one, unit, "_")]
         if others:

@@ -157,8 +157,8 @@ def _channels(
         column = columns[channel]
         read = channels[channel] if column.code is None else signs.decoded(channels[channel], column.code)
         channels[channel] = read * (column.scale * units.factor(dimensions[channel], unit))
-    unit = units.factor("time", used.get("time", "s"))
-    channels, rows, of_time = _timed(source, channels, rows, unit, one_clock=one_clock)
+    seconds = units.factor("time", used.get("time", "s"))
+    channels, rows, of_time = _timed(source, channels, rows, seconds, one_clock=one_clock)
     return _Read(channels, rows, used, [*map(_mended, table.lost), *repeated, *of_time])
 
 

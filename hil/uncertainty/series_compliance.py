@@ -67,7 +67,7 @@ class Excitation:
             rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows // _TAPER + 1) / (rows // _TAPER + 1))
             window = np.concatenate([rise, np.ones(rows - 2 * len(rise)), rise[::-1]])
             power += np.abs(np.fft.rfft((even - even.mean()) * window, count)) ** 2
-        return cls(np.fft.rfftfreq(count, mean_step(time)), power)
+        return cls(np.asarray(np.fft.rfftfreq(count, mean_step(time)), np.float64), power)
 
 
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:

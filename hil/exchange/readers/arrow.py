@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,6 +12,7 @@ from hil.exchange.nested import columns
 from hil.exchange.readers.columns import Columns, from_values, titled
 
 _PARQUET = b"PAR1"
+_LOOKED = 1000  # rows that show which values lie in a column
 
 
 def parquet(path: Path) -> ModuleType:
@@ -33,6 +34,7 @@ def read(source: Path) -> Columns:
 
     with source.open("rb") as file:
         is_parquet = file.read(4) == _PARQUET
+    load: Any
     if is_parquet:
         opened = module.ParquetFile(source)
         schema, load = opened.schema_arrow, lambda names: opened.read(columns=names, use_threads=False)
@@ -42,9 +44,14 @@ def read(source: Path) -> Columns:
         table = pyarrow.ipc.open_file(source).read_all()
         schema, load = table.schema, table.select
     nested = [field.name for field in schema if pyarrow.types.is_nested(field.type)]
-    inner = columns(str(source), enumerate(load(nested).to_pylist())).values if nested else {}
-    flat = {titled(field.name, _unit(field)): partial(_values, load, field.name) for field in schema}
-    return {name: read for name, read in flat.items() if name not in nested} | dict(from_values(inner))
+    flat = {titled(one.name, _unit(one)): partial(_values, load, one.name) for one in schema if one.name not in nested}
+
+    @cache
+    def inner(rows: int | None) -> Columns:
+        return from_values(columns(str(source), enumerate(load(nested).slice(0, rows).to_pylist())).values)
+
+    names = inner(_LOOKED) if nested else {}
+    return flat | {name: partial(lambda name: inner(None)[name](), name) for name in names}
 
 
 def _unit(field: Any) -> dict[Any, Any]:

@@ -96,8 +96,9 @@ class _Parser:
         return name, None
 
     def _written(self, node: ast.expr) -> str:
-        quoted = isinstance(node, ast.Constant) and isinstance(node.value, str)
-        return str(node.value) if quoted else ast.get_source_segment(self.text, node) or ""
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            return node.value
+        return ast.get_source_segment(self.text, node) or ""
 
     def _wrong(self, node: ast.expr, what: str) -> WrongUse:
         return WrongUse(f"{self.text!r} {what} ({self._written(node)}): {_GRAMMAR}")

@@ -128,7 +128,8 @@ def _inside(time: Array, margin: float) -> NDArray[np.bool_]:
     """Return which samples at rising times (n,), s, are farther than `margin`, s, from every gap: a lag leads there."""
     gaps = np.flatnonzero(np.diff(time) > APART * np.median(np.diff(time)))
     edges = np.sort(np.concatenate([time[gaps], time[gaps + 1]]))
-    return np.searchsorted(edges, time - margin) == np.searchsorted(edges, time + margin, side="right")
+    before, after = np.searchsorted(edges, time - margin), np.searchsorted(edges, time + margin, side="right")
+    return np.asarray(before == after)
 
 
 def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRate | None:
