@@ -60,7 +60,7 @@ from hil.recording.integrity import (
     writer_of,
     written_first,
 )
-from hil.recording.interval import Given, Part, path_of, rows_between
+from hil.recording.interval import Given, Part, named, path_of, rows_between
 from hil.recording.posix import in_child
 
 SCHEMA = "hil-recording/3"
@@ -130,6 +130,11 @@ class Recording:
         kept = np.flatnonzero(rows_between(self.path, time, 1.0, part.first, part.last))
         self._first, self._length = int(kept[0]), int(kept[-1] + 1 - kept[0])
         self.window = float(time[kept[0]]), float(time[kept[-1]])
+
+    @property
+    def name(self) -> str:
+        """Return the recording's file, with the times of the part that is read."""
+        return named(self.path, self.window)
 
     @property
     def imported(self) -> bool:

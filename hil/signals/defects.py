@@ -200,9 +200,9 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
 
     where: a description of these rows for the message.
     """
-    name = recording.path
+    name, more = recording.name, "take a part with" if recording.window else "record"
     if len(time) < FEWEST:
-        raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: record at least {FEWEST}")
+        raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: {more} at least {FEWEST}")
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
         raise Untrustworthy(
@@ -241,4 +241,4 @@ def refuse_without_rows(recording: Recording, left: int, defects: Defects) -> No
     ]
     count, lack, remedy = max(causes, key=lambda cause: cause[0])
     why = f"{count} rows {lack}. To identify Kc and Bc, {remedy}" if count else "record for longer"
-    raise Untrustworthy(f"{recording.path}: none of {len(recording)} rows can be used: {why}")
+    raise Untrustworthy(f"{recording.name}: none of {len(recording)} rows can be used: {why}")

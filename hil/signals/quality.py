@@ -123,7 +123,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
         return []
     why = str(recording.attributes.get("end_reason", "")) or "it never ended"
     return [
-        Diagnostic("unfinished", f"{recording.path} is not a complete run ({why}): its {len(recording)} rows are used")
+        Diagnostic("unfinished", f"{recording.name} is not a complete run ({why}): its {len(recording)} rows are used")
     ]
 
 

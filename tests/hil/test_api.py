@@ -282,6 +282,13 @@ def test_a_time_that_is_none_is_refused_with_the_times_of_the_recording(make_rec
             call(path, end=bound)
 
 
+def test_a_part_that_is_too_short_is_named_and_no_longer_recording_is_asked_for(make_recording: Maker) -> None:
+    with pytest.raises(
+        api.NoResult, match=r"a\.h5 from 1 to 1\.004 s holds 3 usable .* of 3: take a part with at least 16"
+    ):
+        api.identify(make_recording(samples=600), start=1.0, end=1.005)
+
+
 def test_the_version_is_that_of_the_package() -> None:
     assert api.__version__ == version("hil")
 
