@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -130,9 +131,12 @@ def _together(half: int) -> int:
     return max(half // _SHARE, 1)
 
 
+@lru_cache(maxsize=256)  # an identification asks for the same few windows again and again
 def kernel(half: int, order: int) -> Array:
     """Return the weights (2*half+1,) that give the derivative of `order`, per sample^order, on an even grid."""
-    return np.asarray(kernels(half, order, np.zeros(1))[0])
+    found = np.asarray(kernels(half, order, np.zeros(1))[0])
+    found.flags.writeable = False
+    return found
 
 
 def kernels(half: int, order: int, samples: Array) -> Array:
