@@ -45,7 +45,7 @@ COMMANDS: dict[str, list[tuple[tuple[str, ...], str]]] = {  # words with @ for t
     "doctor": [(("doctor", "@"), ".toml")],
     "calibrate": [(("calibrate", "zero", "@"), ".toml")],
 }
-WITHOUT_INPUT = {"demo", "emulate", "replicate", "stand"}
+WITHOUT_INPUT = {"demo", "emulate", "replicate", "stand", "studio"}
 CASES = [(words, suffix) for rows in COMMANDS.values() for words, suffixes in rows for suffix in suffixes.split()]
 
 

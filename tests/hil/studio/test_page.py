@@ -68,7 +68,7 @@ def test_the_simulated_stand_is_there_from_the_first_start(page: TestClient) -> 
 
 def test_a_stand_file_with_an_error_is_shown_with_its_reason(page: TestClient, tmp_path: Path) -> None:
     (tmp_path / "good.toml").write_text(
-        '[stand]\nname = "</b>"\nbackend = "sim"\n[limits]\ntorque = 1\ndeflection = 1\nvelocity = 1\n'
+        '[stand]\nname = "</b>"\nbackend = "sim"\n[limits]\ntorque = 0.01\ndeflection = 1\nvelocity = 1\n'
     )
     (tmp_path / "bad.toml").write_text("[stand]\ngear = 3\n")
     (tmp_path / "pyproject.toml").write_text("[tool.x]\na = 3\n")
