@@ -37,7 +37,7 @@ from hil.studio.folder import Folder, trace
 from hil.studio.guard import TOKEN_PATH, Access, App, Guard
 from hil.studio.jobs import Job, Jobs
 
-_FRAME: Final = 0.033  # s between two frames of the traces
+_FRAME: Final = 0.03  # s between two frames of the traces, which take a few ms
 _FIGURES: Final = 0.2  # s between two states of the run
 _BODY: Final = 65_536  # bytes of a request
 _TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
