@@ -15,7 +15,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.fitting.solution import Search
-from hil.identification.result import Estimate, Identification, interval, standard_error
+from hil.identification.result import NORMAL, Estimate, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
@@ -26,7 +26,6 @@ COMPARED = ("Kc", "Bc")
 """The parameters that are compared: Kc and Bc of the coupling. Other terms belong to the stand."""
 
 _CHANCE = 0.05
-_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
 _HOUR = 3600.0
 
 
@@ -210,7 +209,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
 def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
     """Return the pooled value, its error and interval widened by the uncertainty of the torque's scale."""
     scale = uncertainty * abs(pooled.value)
-    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), _SCALE_NORMAL * scale)
+    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), NORMAL * scale)
     error = math.hypot(pooled.standard_error, scale)
     return replace(pooled, standard_error=error, ci95=interval(pooled.value, half, positive=True))
 

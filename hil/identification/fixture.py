@@ -12,7 +12,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
-from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
+from hil.identification.result import NORMAL, Estimate, Fixture, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.printable import quoted
 from hil.recording.ahead import Progress
@@ -23,7 +23,6 @@ from hil.stand.file import load
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
-_NORMAL = 1.96
 _CORRECTED = ("Kc", "Bc")
 
 
@@ -148,7 +147,7 @@ def _element(found: Identification, common: float) -> Element:
 
 
 def _corrected(estimate: Estimate, value: float, error: float, common: float) -> Estimate:
-    shift, half = value - estimate.value, _NORMAL * math.hypot(error, common * value)
+    shift, half = value - estimate.value, NORMAL * math.hypot(error, common * value)
     trials = estimate.optimiser
     return replace(
         estimate,

@@ -20,7 +20,8 @@ from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
-_SCALE_NORMAL = 1.96  # the same, as `ConfidenceIntervals.with_scale_uncertainty` has it
+NORMAL = 1.96
+"""Half a 95 % interval in standard errors, as `ConfidenceIntervals.with_scale_uncertainty` has it."""
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 
 
@@ -102,7 +103,7 @@ class Estimate:
     @property
     def stderr(self) -> float:
         """Return the standard error of a normal distribution with the same 95 % interval."""
-        return self.half_width / 1.96
+        return self.half_width / NORMAL
 
     @property
     def exact(self) -> float:
@@ -259,5 +260,5 @@ def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
 
     uncertainty: the relative uncertainty of the torque's scale.
     """
-    half = math.sqrt(max(estimate.half_width**2 - (_SCALE_NORMAL * uncertainty * estimate.value) ** 2, 0.0))
+    half = math.sqrt(max(estimate.half_width**2 - (NORMAL * uncertainty * estimate.value) ** 2, 0.0))
     return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from ga.model.terms import size_of
 from ga.model.trajectory import Motion
+from hil.signals.prepare import Signals
+from hil.uncertainty.deflection.instruments import followed, is_instrument
 
 Array = NDArray[np.float64]
 
@@ -24,6 +26,7 @@ DRIVES: Final = tuple(np.geomspace(4.0, 64.0, 9).tolist())
 """Natural frequencies of drives, Hz; each half octave is equally likely."""
 
 _DAMPED = 0.75  # the damping ratio of a drive
+_DENSE = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
 _MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
 
 
@@ -48,6 +51,26 @@ def taken_off(motion: Motion, frequency: float) -> Array | None:
         return None
     of_acceleration = 2.0 * TWELFTH * _DAMPED * speed * _step(motion)
     return TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+
+
+def hidden(signals: Signals) -> float:
+    """Return the part of Bc that is hidden where the drive takes a set-point at each reading; 0 without a command.
+
+    The set-point, at a reading the mean of the one before and the one after it, is a multiple of x + 2 z/w v + a/w^2,
+    which gives w of drive and coupling together. By `of_jerk` the rate then seems higher by up to h^2/12 w^2.
+    Regressors that follow from the command have no noise.
+    """
+    motion, window, command = signals.motion, signals.window, signals.command
+    if window is None or not is_instrument(command) or motion.part_of is not None:
+        return 0.0
+    if 1.0 / _step(motion) > _DENSE * window.band[1]:
+        return 0.0
+    sound = window.sound(motion.time)
+    followed_by = followed(motion, window, command, sound)
+    signal = np.stack([followed_by.dtheta, followed_by.dtheta_dot, followed_by.dtheta_ddot], axis=1)[sound]
+    held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
+    found = np.linalg.lstsq(signal - signal.mean(axis=0), held - held.mean(), rcond=None)[0]
+    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if found[0] * found[2] > 0.0 else 0.0
 
 
 def _step(motion: Motion) -> float:

@@ -36,14 +36,13 @@ from hil.identification.candidates.late import Alternative
 from hil.identification.mixture.deflection import read_with_errors
 from hil.identification.mixture.largest import BENCH, Largest, contains, largest_model, own_values
 from hil.identification.mixture.rate_laws import falling, growing
-from hil.identification.result import Step
+from hil.identification.result import NORMAL, Step
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average
 
 Array = NDArray[np.float64]
 
-_NORMAL = 1.96  # half a 95 % interval in standard errors
 _RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
 _FURTHER = (1.0 / 3.0) ** 0.5  # the same where two branches were found: what relaxes does so at more speeds
 _PLACES = 2**44  # steps of a range, to one of which a quantile is found
@@ -104,13 +103,13 @@ def averaged(
         criteria += [one.criterion + more for _, more in around]
     for late in choice.lateness:
         stiff, damped = (found[0][name].half_width for name in COUPLING)
-        damped = float(np.hypot(damped, _NORMAL * late.spread))
+        damped = float(np.hypot(damped, NORMAL * late.spread))
         found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
         criteria.append(late.criterion)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
     mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
-    bc, hidden = mixed["Bc"], _NORMAL * _hidden(selected, kept, mixed["Kc"].value)
+    bc, hidden = mixed["Bc"], NORMAL * _hidden(selected, kept, mixed["Kc"].value)
     return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, hidden)))}
 
 
@@ -170,7 +169,7 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 
     def beyond(share: float) -> float:
         def below(place: int) -> float:
-            return float(weights @ ndtr(_NORMAL * (low + place * step - values) / errors))
+            return float(weights @ ndtr(NORMAL * (low + place * step - values) / errors))
 
         return low + step * bisect_left(range(_PLACES), share, key=below)
 

@@ -14,7 +14,7 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
-from hil.identification.candidates.held import taken_off
+from hil.identification.candidates.held import hidden, taken_off
 from hil.identification.identify import identify
 from hil.recording.reader import Array
 
@@ -50,11 +50,13 @@ def sines(time: Array, fastest: float = 12.0) -> tuple[Array, Array]:
     return waves.sum(axis=1).imag, (1j * omega * waves).sum(axis=1).imag
 
 
-def recorded(make_recording: Maker, angle: Array, torque: Array) -> Path:
-    """A recording of that deflection and torque (n,), SI, with noise of 0.4 mN m in the torque."""
+def recorded(make_recording: Maker, angle: Array, torque: Array, command: Array | None = None) -> Path:
+    """A recording of that deflection, torque and command (n,), SI, with noise of 0.4 mN m in the torque."""
 
     def change(channels: dict[str, Array]) -> None:
         channels["dtheta"] = angle
+        if command is not None:
+            channels["command"] = command
         channels["torque"] = torque + 4e-4 * np.random.default_rng(4).standard_normal(SAMPLES)
 
     return make_recording(change=change, samples=SAMPLES)
@@ -94,6 +96,29 @@ def test_bc_is_not_confidently_wrong_where_slow_motion_hardly_shows_such_a_drive
     low, high = found["Bc"].ci95
     assert abs(0.5 * (low + high) - BC) < 1.5 * 0.5 * (high - low)
     assert high - low < 0.06 * BC
+
+
+def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_hide(make_recording: Maker) -> None:
+    """Of a named model too, which is not averaged; the command shows that the drive has 40 Hz."""
+    command, _ = sines(np.arange(0.0, SAMPLES) * STEP, 30.0)
+    angle, rate = driven(command, 40.0)
+    found = identify([recorded(make_recording, angle, KC * angle + BC * rate, command)], parse("linear+skew"), SEARCH)
+    low, high = found["Bc"].ci95
+    assert hidden(found.signals) == pytest.approx((2.0 * np.pi * 40.0 * STEP) ** 2 / 12.0, rel=0.2)
+    assert low < BC < high
+    assert high - low < 0.1 * BC
+    own = found["Bc"].conditional
+    assert own is None or not own.ci95[0] < BC < own.ci95[1]
+
+
+@pytest.mark.parametrize(("fastest", "commanded"), [(12.0, True), (30.0, False)])
+def test_nothing_is_hidden_from_many_readings_in_a_period_and_nothing_known_without_a_command(
+    make_recording: Maker, fastest: float, commanded: bool
+) -> None:
+    command, _ = sines(np.arange(0.0, SAMPLES) * STEP, fastest)
+    angle, rate = driven(command, 40.0)
+    path = recorded(make_recording, angle, KC * angle + BC * rate, command if commanded else np.zeros(SAMPLES))
+    assert hidden(identify([path], parse("linear"), SEARCH).signals) == 0.0
 
 
 def test_what_a_drive_takes_off_the_rate_is_the_jump_of_the_acceleration_times_a_twelfth_of_the_step() -> None:
