@@ -70,7 +70,8 @@ def hidden(signals: Signals) -> float:
     signal = np.stack([followed_by.dtheta, followed_by.dtheta_dot, followed_by.dtheta_ddot], axis=1)[sound]
     held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
     found = np.linalg.lstsq(signal - signal.mean(axis=0), held - held.mean(), rcond=None)[0]
-    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if found[0] * found[2] > 0.0 else 0.0
+    behind = bool((found[0] * found[1:] > 0.0).all())  # a joint that is not behind its set-points is held by none
+    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if behind else 0.0
 
 
 def _step(motion: Motion) -> float:

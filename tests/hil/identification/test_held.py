@@ -111,13 +111,14 @@ def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_
     assert own is None or not own.ci95[0] < BC < own.ci95[1]
 
 
-@pytest.mark.parametrize(("fastest", "commanded"), [(12.0, True), (30.0, False)])
-def test_nothing_is_hidden_from_many_readings_in_a_period_and_nothing_known_without_a_command(
-    make_recording: Maker, fastest: float, commanded: bool
+@pytest.mark.parametrize(("fastest", "command"), [(12.0, "before"), (30.0, "none"), (30.0, "with")])
+def test_nothing_is_hidden_from_many_readings_in_a_period_nor_known_where_no_command_goes_before_the_joint(
+    make_recording: Maker, fastest: float, command: str
 ) -> None:
-    command, _ = sines(np.arange(0.0, SAMPLES) * STEP, fastest)
-    angle, rate = driven(command, 40.0)
-    path = recorded(make_recording, angle, KC * angle + BC * rate, command if commanded else np.zeros(SAMPLES))
+    set_point, _ = sines(np.arange(0.0, SAMPLES) * STEP, fastest)
+    angle, rate = driven(set_point, 40.0)
+    recorded_as = {"before": set_point, "none": np.zeros(SAMPLES), "with": angle}[command]
+    path = recorded(make_recording, angle, KC * angle + BC * rate, recorded_as)
     assert hidden(identify([path], parse("linear"), SEARCH).signals) == 0.0
 
 

@@ -324,7 +324,7 @@ def test_a_gap_of_any_width_is_one(half: float, middle: float) -> None:
 @pytest.mark.study
 def test_an_effect_is_no_suspect_where_one_of_all_explains_as_much_by_chance() -> None:
     """With a hundredth for each of them, one did in four of these. On the default stand that took a quarter off Bc."""
-    unknown = 4e-5 * np.interp(TIME - 0.2, TIME, V)  # like no effect that is known
+    unknown = 6e-5 * np.interp(TIME - 0.2, TIME, V)  # like no effect that is known
     found = [judged(PLAIN + unknown + noise(seed)) for seed in range(12)]
     assert all(one.failed for one in found)
     assert sum(bool(one.suspects) for one in found) <= 1
