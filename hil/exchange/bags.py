@@ -55,7 +55,7 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     """
     rosbags = _rosbags(source)
 
-    def read() -> dict[str, Array]:
+    def _columns() -> dict[str, Array]:
         for path in _files(source):
             with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
                 is_database = file.read(len(_DATABASE)) == _DATABASE
@@ -72,7 +72,7 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
                 "does not read: save the topic as CSV, for example with PlotJuggler"
             ) from None
 
-    return bounded(source, read)
+    return bounded(source, _columns)
 
 
 class _Library:

@@ -18,7 +18,7 @@ from hil.diagnostics import Diagnostic
 from hil.first_run import compiled_ahead
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.described import Described, tested, without_model
-from hil.identification.candidates.held import hidden
+from hil.identification.candidates.held import most_taken_off
 from hil.identification.coupling import Coupling
 from hil.identification.fitting.dataset import Dataset, open_dataset
 from hil.identification.fitting.exact import without_signs
@@ -180,10 +180,10 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
 
 def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
     """Return the relative uncertainty (p,) of the parameters due to scales: the torque's scale and, for Bc, the
-    rate's, which held set-points make wrong by anything up to `hidden`.
+    rate's, which held set-points make wrong by anything up to `most_taken_off`.
     """
     torque = np.array([data.uncertainty if parameter.scales else 0.0 for parameter in parameters])
-    of_rate = np.hypot(RATE_ACCURACY, hidden(data.signals) / 3.0**0.5)
+    of_rate = np.hypot(RATE_ACCURACY, most_taken_off(data.signals) / 3.0**0.5)
     rate = np.array([of_rate if parameter.name == "Bc" else 0.0 for parameter in parameters])
     return np.asarray(np.hypot(torque, rate))
 

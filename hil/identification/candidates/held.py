@@ -53,12 +53,13 @@ def taken_off(motion: Motion, frequency: float) -> Array | None:
     return TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
 
 
-def hidden(signals: Signals) -> float:
-    """Return the part of Bc that is hidden where the drive takes a set-point at each reading; 0 without a command.
+def most_taken_off(signals: Signals) -> float:
+    """Return the largest part of Bc that a drive which holds its set-points may take off.
 
-    The set-point, at a reading the mean of the one before and the one after it, is a multiple of x + 2 z/w v + a/w^2,
-    which gives w of drive and coupling together. By `of_jerk` the rate then seems higher by up to h^2/12 w^2.
-    Regressors that follow from the command have no noise.
+    The mean of the set-points before and after a reading is a multiple of x + 2 z/w v + a/w^2, with w and z of drive
+    and coupling together; with many readings in a period nothing is taken off. The rate is wrong by up to h^2/12 w^2
+    (`of_jerk`). x, v and a are those that follow from the command, because they have no noise. 0 also without a
+    command, and for a joint that is not behind its command: then nothing is known of the drive.
     """
     motion, window, command = signals.motion, signals.window, signals.command
     if window is None or not is_instrument(command) or motion.part_of is not None:
@@ -66,12 +67,12 @@ def hidden(signals: Signals) -> float:
     if 1.0 / _step(motion) > _DENSE * window.band[1]:
         return 0.0
     sound = window.sound(motion.time)
-    followed_by = followed(motion, window, command, sound)
-    signal = np.stack([followed_by.dtheta, followed_by.dtheta_dot, followed_by.dtheta_ddot], axis=1)[sound]
+    smooth = followed(motion, window, command, sound)
+    columns = np.stack([smooth.dtheta, smooth.dtheta_dot, smooth.dtheta_ddot], axis=1)[sound]
     held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
-    found = np.linalg.lstsq(signal - signal.mean(axis=0), held - held.mean(), rcond=None)[0]
-    behind = bool((found[0] * found[1:] > 0.0).all())  # a joint that is not behind its set-points is held by none
-    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if behind else 0.0
+    found = np.linalg.lstsq(columns - columns.mean(axis=0), held - held.mean(), rcond=None)[0]
+    is_behind = bool((found[0] * found[1:] > 0.0).all())
+    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if is_behind else 0.0
 
 
 def _step(motion: Motion) -> float:

@@ -14,7 +14,7 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
-from hil.identification.candidates.held import hidden, taken_off
+from hil.identification.candidates.held import most_taken_off, taken_off
 from hil.identification.identify import identify
 from hil.recording.reader import Array
 
@@ -98,13 +98,13 @@ def test_bc_is_not_confidently_wrong_where_slow_motion_hardly_shows_such_a_drive
     assert high - low < 0.06 * BC
 
 
-def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_hide(make_recording: Maker) -> None:
+def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_take_off(make_recording: Maker) -> None:
     """Of a named model too, which is not averaged; the command shows that the drive has 40 Hz."""
     command, _ = sines(np.arange(0.0, SAMPLES) * STEP, 30.0)
     angle, rate = driven(command, 40.0)
     found = identify([recorded(make_recording, angle, KC * angle + BC * rate, command)], parse("linear+skew"), SEARCH)
     low, high = found["Bc"].ci95
-    assert hidden(found.signals) == pytest.approx((2.0 * np.pi * 40.0 * STEP) ** 2 / 12.0, rel=0.2)
+    assert most_taken_off(found.signals) == pytest.approx((2.0 * np.pi * 40.0 * STEP) ** 2 / 12.0, rel=0.2)
     assert low < BC < high
     assert high - low < 0.1 * BC
     own = found["Bc"].conditional
@@ -112,14 +112,14 @@ def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_
 
 
 @pytest.mark.parametrize(("fastest", "command"), [(12.0, "before"), (30.0, "none"), (30.0, "with")])
-def test_nothing_is_hidden_from_many_readings_in_a_period_nor_known_where_no_command_goes_before_the_joint(
+def test_nothing_is_taken_off_with_many_readings_in_a_period_nor_known_where_no_command_goes_before_the_joint(
     make_recording: Maker, fastest: float, command: str
 ) -> None:
     set_point, _ = sines(np.arange(0.0, SAMPLES) * STEP, fastest)
     angle, rate = driven(set_point, 40.0)
     recorded_as = {"before": set_point, "none": np.zeros(SAMPLES), "with": angle}[command]
     path = recorded(make_recording, angle, KC * angle + BC * rate, recorded_as)
-    assert hidden(identify([path], parse("linear"), SEARCH).signals) == 0.0
+    assert most_taken_off(identify([path], parse("linear"), SEARCH).signals) == 0.0
 
 
 def test_what_a_drive_takes_off_the_rate_is_the_jump_of_the_acceleration_times_a_twelfth_of_the_step() -> None:
