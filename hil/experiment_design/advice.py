@@ -104,7 +104,7 @@ def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
     if ONE_SPEED < judged.friction_likeness < LIKE_FRICTION:
         found.append(
             Diagnostic(
-                "one-speed",
+                "hidden-friction",
                 f"{described(profile)}: the joint moves at one speed, where dry friction looks like damping. The model "
                 "has no term for friction, so Bc includes most of any friction. Drive at several speeds (--profile "
                 "chirp or multisine over two octaves)",

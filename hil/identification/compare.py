@@ -106,7 +106,7 @@ def compare(
         created, imported = zip(*(_origin(source) for source in sources), strict=True)
         if any(imported):
             text = "an imported recording does not say when it was made: no drift is estimated with it"
-            diagnostics.append(Diagnostic("time-unknown", text))
+            diagnostics.append(Diagnostic("left-out", text))
         first = min((moment for moment in created if moment is not None), default=None)
         all_found = identify_each([Task((one,), model, search) for one in given], progress)
         measured = []
@@ -118,9 +118,9 @@ def compare(
     diagnostics += _common_scale(measured)
     if len(models) > 1:
         text = f"the recordings were fitted with different models ({', '.join(models)}): name one with --model"
-        diagnostics.append(Diagnostic("models-differ", text))
+        diagnostics.append(Diagnostic("hard-to-compare", text))
     diagnostics += [
-        Diagnostic("cannot-compare", one.verdict, one.name, is_error=True) for one in repeated if one.pooled is None
+        Diagnostic("hard-to-compare", one.verdict, one.name, is_error=True) for one in repeated if one.pooled is None
     ]
     return Comparison(" or ".join(models) or _name(model), tuple(measured), repeated, tuple(diagnostics))
 

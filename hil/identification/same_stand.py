@@ -36,7 +36,7 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
     if stands and unknown:
         found.append(
             Diagnostic(
-                "stand-unknown",
+                "other-stand",
                 f"{', '.join(unknown)}: no stand is named, but {stands[0][0]} names one. Make sure that all are of the "
                 "same stand",
             )
@@ -82,4 +82,4 @@ def _compared(first: Path, known: dict[str, Any], path: Path, facts: dict[str, A
     text = (
         f"the stand of {path} differs from that of {first}: {', '.join(changed)}. Make sure that it is the same stand"
     )
-    return [Diagnostic("stand-changed", text)]
+    return [Diagnostic("other-stand", text)]

@@ -144,7 +144,7 @@ def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) ->
     size, times = f"{swing.half:.3g} {unit}", swing.half / limit
     message = f"the {name} swings by +/- {size}, {times:.3g} times the stand's limit of {limit:.3g} {unit}"
     meaning = "If its unit is wrong, Kc and Bc are wrong by the same factor"
-    return [Diagnostic("beyond-limits", f"{message}. {meaning}. {_likely(dimension, swing, limit)}")]
+    return [Diagnostic("wrong-unit", f"{message}. {meaning}. {_likely(dimension, swing, limit)}")]
 
 
 def _likely(dimension: str, swing: Swing, limit: float) -> str:
@@ -173,7 +173,7 @@ def _many_turns(deflection: Swing) -> list[Diagnostic]:
         "in degrees, Kc and Bc are 57 times too low. Import it with --dtheta-unit deg, or check the gear ratio. Where "
         "the joint does turn so far, import it with --stand FILE, whose limits.deflection allows it"
     )
-    return [Diagnostic("many-turns", message, is_error=True)]
+    return [Diagnostic("wrong-unit", message, is_error=True)]
 
 
 def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> list[Diagnostic]:
@@ -187,4 +187,4 @@ def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> lis
         f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.3g} times the ratio of the stand's limits: "
         "if a unit is wrong, Kc is wrong by that factor. Check the units of torque and deflection, or correct [limits]"
     )
-    return [Diagnostic("odd-stiffness", message, "Kc")]
+    return [Diagnostic("wrong-unit", message, "Kc")]

@@ -26,7 +26,6 @@ Array = NDArray[np.float64]
 
 _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the result
 _POOR_SNR = 20.0  # dB
-_MANY_LOST = 0.02
 _NOTABLE = 0.01  # share of rows that are lost or saturated, above which Kc and Bc may suffer
 _MANY_JERKED = 0.05
 _GAIN_ERROR = 5e-3
@@ -105,6 +104,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *([] if quality.negative is None else [wrong_sign(quality.negative, imported=imported)]),
         *_unfinished(recording),
         *_unused_rows(quality, imported=imported),
+        *_unknown_rates(quality.defects, quality.samples, imported=imported),
         *([driven_by_position(is_error=True, imported=imported)] if by_position else []),
         *_weaknesses(quality, imported=imported),
         *(_slow(one, quality.highest, imported=imported) for one in quality.slower),
@@ -130,20 +130,23 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
 def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     defects, rows, found = quality.defects, quality.samples, []
     if defects.lost > _NOTABLE * rows:
-        lost = f"{defects.lost} of {rows} replies were lost and are left out: hil doctor shows how often"
+        lost = (
+            f"{defects.lost} of {rows} replies were lost and are left out. Check cable and baud rate; hil doctor shows "
+            "how often replies are lost"
+        )
         found.append(Diagnostic("lost-samples", lost))
     if defects.not_numbers:
         numbers = (
             f"{defects.not_numbers} of {rows} rows hold no number, or one beyond {LARGEST:g}, and are left out: hil "
             "export shows which"
         )
-        found.append(Diagnostic("not-a-number", numbers))
+        found.append(Diagnostic("invalid-readings", numbers))
     if defects.frozen:
         text = (
             f"the deflection stood still in {defects.frozen} of {rows} rows while the torque changed. These rows are "
             "left out; Kc and Bc come from the other rows. Check the encoder and its cable"
         )
-        found.append(Diagnostic("angle-frozen", text))
+        found.append(Diagnostic("invalid-readings", text))
     if defects.clipped:
         softer = again("Drive with less torque", "--amplitude", imported=imported)
         text = (
@@ -151,7 +154,7 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             f"out; Kc and Bc come from the other rows. {softer}, or "
             "widen the sensor's range"
         )
-        found.append(Diagnostic("torque-clipped", text))
+        found.append(Diagnostic("invalid-readings", text))
     if defects.spikes:
         text = (
             f"the deflection of {defects.spikes} of {rows} rows is far from the readings before and after. These rows "
@@ -164,11 +167,16 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             "Bc are not affected. Set the encoder's zero so that the joint does not pass it"
         )
         found.append(Diagnostic("angle-wrapped", text))
+    return found
+
+
+def _unknown_rates(defects: Defects, rows: int, *, imported: bool) -> list[Diagnostic]:
+    found = []
     if defects.near_gaps:
         gaps = (
             f"{defects.near_gaps} rows beside a gap lack rate or acceleration and are not used: record without a pause"
         )
-        found.append(Diagnostic("near-gaps", gaps))
+        found.append(Diagnostic("unknown-rate", gaps))
     if defects.jerked > _MANY_JERKED * rows:
         smoother = again(
             "Drive a multisine or a chirp, or read the sensors more often", "--profile, --rate", imported=imported
@@ -177,7 +185,7 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             f"the acceleration jumps beside {defects.jerked} of {rows} rows, so their rate or acceleration is not "
             f"known. These rows are left out; Kc and Bc come from the other rows. {smoother}"
         )
-        found.append(Diagnostic("acceleration-jumps", text))
+        found.append(Diagnostic("unknown-rate", text))
     if defects.coarse_clock:
         found.append(
             Diagnostic(
@@ -192,9 +200,7 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
 def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     larger = again("record a larger motion", "--amplitude", imported=imported)
     counts, found = quality.deflection / quality.deflection_lsb, []
-    lost, saturated = quality.defects.lost / quality.samples, quality.saturated / quality.samples
-    if lost > _MANY_LOST:
-        found.append(Diagnostic("many-lost", f"{lost:.1%} of the replies were lost: check cable and baud rate"))
+    saturated = quality.saturated / quality.samples
     if saturated > _NOTABLE:
         softer = again("drive with less torque", "--amplitude", imported=imported)
         text = f"the torque limit cut the command in {saturated:.1%} of the rows: {softer}"
@@ -216,7 +222,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
     )
     if one.channel == "deflection" and highest * one.step > _SPARSE:
         return Diagnostic(
-            "slow-angle",
+            "slow-sensor",
             f"{text}. The joint moves at up to {highest:.3g} Hz, too fast for these readings, so Kc and Bc are wrong. "
             f"Read the encoder more often, or {again('move the joint more slowly', '--band', imported=imported)}",
             is_error=True,
@@ -225,9 +231,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
     if one.unsure > _UNSURE * one.tick:
         text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
     text += ". Record the sensor's own readings with its own time stamps"
-    if one.channel == "deflection":
-        return Diagnostic("slow-angle", text, "Bc")
-    return Diagnostic("slow-cell", text, "Bc")
+    return Diagnostic("slow-sensor", text, "Bc")
 
 
 def _flagged(recording: Recording, *flags: Status) -> list[int]:

@@ -117,7 +117,7 @@ def _other_zero(reference: float) -> list[Diagnostic]:
         f"the joint seems to be unloaded at {reference:.4g} rad and not at the encoder's zero. Deflections count from "
         "there, so Kc and Bc are not affected. Set the encoder's zero with the joint unloaded"
     )
-    return [Diagnostic("encoder-zero", text)]
+    return [Diagnostic("unloaded-place", text)]
 
 
 def _command(source: Source, part: Signals) -> Array | None:

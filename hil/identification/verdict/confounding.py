@@ -87,7 +87,7 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
         f"{_as_motors(evidence)}"
     )
     known = f". If you know that there is an inertia, name --model {evidence.model.name}" if evidence.selected else ""
-    return [Diagnostic("filtered-angle", text + known, "Bc", is_error=evidence.selected)]
+    return [Diagnostic("inertia-in-torque", text + known, "Bc", is_error=evidence.selected)]
 
 
 def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
@@ -141,7 +141,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
         f"it there {fits}. Kc and Bc may be wrong. {smooth}{'' if of_kind(values, *FRICTION, 'load share') else known}"
     )
-    return [Diagnostic("friction-at-rest", text, is_error=True)]
+    return [Diagnostic("hidden-friction", text, is_error=True)]
 
 
 def _little_load(evidence: Evidence) -> list[Diagnostic]:
@@ -226,7 +226,7 @@ def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:
     step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
     known = f". If you know that it is a mean, name --model {evidence.model.name}" if evidence.selected else ""
     return Diagnostic(
-        "filtered-torque",
+        "torque-reading",
         f"a filter acts on the torque: it is {1e3 * late:.3g} ms late and looks like a mean over {1e3 * window:.3g} ms "
         f"({window / step:.3g} ticks). Bc is wrong if the filter is not a mean. Switch the filter off, or pass the "
         f"angle through the same filter{known}",

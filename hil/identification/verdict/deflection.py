@@ -75,7 +75,7 @@ def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Di
         "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
         f"the deflection is noisy. Record the set-point that was driven{_IMPORTED if signals.imported else ''}"
     )
-    return [Diagnostic("weak-command", text)]
+    return [Diagnostic("deflection-noise", text)]
 
 
 def _weak(found: DeflectionErrors) -> list[Diagnostic]:
@@ -85,7 +85,7 @@ def _weak(found: DeflectionErrors) -> list[Diagnostic]:
         "the motion hardly follows the recorded command. The noise of the deflection is therefore corrected with a "
         "simulation, and Kc and Bc are less accurate. Record the set-point that was driven"
     )
-    return [Diagnostic("weak-command", text)]
+    return [Diagnostic("deflection-noise", text)]
 
 
 def _cause(found: DeflectionErrors) -> str:

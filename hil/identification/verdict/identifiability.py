@@ -160,7 +160,7 @@ def _interruption(trials: Trials) -> list[Diagnostic]:
         f"the search was stopped after {int(trials.finished.sum())} of {len(trials.finished)} trials. The best trial "
         "is the best so far; the mean and the deviation include the trials that had not ended"
     )
-    return [Diagnostic("interrupted", text)]
+    return [Diagnostic("not-converged", text)]
 
 
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
@@ -184,7 +184,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
             f"so Bc includes most of any friction. {several_speeds(evidence)}"
             f"{'' if evidence.selected else ', and try --model auto'}"
         )
-        found.append(Diagnostic("one-speed", text, name))
+        found.append(Diagnostic("hidden-friction", text, name))
     return found
 
 

@@ -32,7 +32,7 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
     whole = float(np.std(described.signals.coupling_torque[described.kept]))
     return [
         Diagnostic(
-            "spring-outweighed",
+            "little-load",
             f"of {whole:.2g} N m of torque (standard deviation), only {carried:.2g} N m follows from Kc alone, and not "
             f"from friction, play or the rest of the model. The model leaves {left:.2g} N m unexplained, beyond the "
             f"noise of the reading. An effect of that size can change Kc by {percent(left / carried)}, whatever its "

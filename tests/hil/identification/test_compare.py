@@ -105,7 +105,7 @@ def test_an_uncertain_torque_is_said_to_be_the_same_in_all_recordings(make_recor
     paths = [stamped(path, float(at), stand, "imported") for at, path in enumerate(each)]
     found = compare(paths, parse_model("linear"), SEARCH)
     assert [one.created for one in found.recordings] == [None] * 2  # the hour of an import is not that of the run
-    assert "time-unknown" in {diagnostic.code for diagnostic in found.diagnostics}
+    assert "left-out" in {diagnostic.code for diagnostic in found.diagnostics}
     assert [one.code for one in found.diagnostics].count("scale-in-common") == 1
     assert found.parameters[0].drift is None  # of two
 
@@ -182,7 +182,7 @@ def test_a_stand_that_was_changed_between_two_recordings_is_said(make_recording:
     changed = STAND.replace("4.0", "5.0").replace("0.03", "0.05") + "[sim]\n"
     second, third = stamped(make_recording("b.h5"), stand=changed), stamped(make_recording("c.h5"))
     found = check_together([first, second, third])
-    assert [diagnostic.code for diagnostic in found] == ["stand-changed", "stand-unknown"]
+    assert [diagnostic.code for diagnostic in found] == ["other-stand", "other-stand"]
     assert "gear_ratio 5.0 (not 4.0), limits.torque 0.05 (not 0.03)" in found[0].message
     assert "c.h5: no stand is named" in found[1].message
 
@@ -242,4 +242,4 @@ def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_r
     status, out, err = hil("compare", "a.h5", "b.h5", "--trials", 1, "--json")
     assert status == 1
     assert json.loads(out)["parameters"]["Kc"]["value"] is None
-    assert "error [cannot-compare]: Kc cannot be compared: 0 of 2 recordings identify it" in err
+    assert "error [hard-to-compare]: Kc cannot be compared: 0 of 2 recordings identify it" in err

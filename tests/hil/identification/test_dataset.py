@@ -80,7 +80,7 @@ def test_blocks_on_disk_in_which_no_row_can_be_used_are_passed_over_and_counted(
     parts = identified([path])
     assert parts.optimum == pytest.approx(whole.optimum, rel=1e-10)
     assert parts.samples == whole.samples
-    (lost,) = (one.message for one in parts.diagnostics if one.code == "not-a-number")
+    (lost,) = (one.message for one in parts.diagnostics if one.code == "invalid-readings")
     assert lost.startswith("1300 of 4000 rows hold no number")
 
 

@@ -267,7 +267,7 @@ def test_a_command_that_the_motion_does_not_follow_is_warned_of_where_nothing_is
     columns = {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}
     noise = np.random.default_rng(3).standard_normal(len(TIME))
     found = as_table(path, columns, noise)
-    assert [one.code for one in found.diagnostics] == ["weak-command"]
+    assert [one.code for one in found.diagnostics] == ["deflection-noise"]
     assert found.dynamic_stiffness is not None
     assert found.dynamic_stiffness.instrument == "deflection"
 
@@ -277,7 +277,7 @@ def test_a_column_that_drove_nothing_is_noticed_as_no_command(tmp_path: Path) ->
     path, wandering = tmp_path / "a.h5", np.random.default_rng(3).standard_normal(len(TIME)).cumsum()
     recorded(path, noise=5e-3, seed=2)
     found = as_table(path, {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}, wandering)
-    assert any(one.code == "weak-command" for one in found.diagnostics)
+    assert any(one.code == "deflection-noise" for one in found.diagnostics)
     assert holds(found)
 
 

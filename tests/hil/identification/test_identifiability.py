@@ -212,7 +212,7 @@ def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recordin
 def test_a_sine_is_said_to_have_little_but_one_speed(make_recording: Maker) -> None:
     path = make_recording(samples=1000, change=lambda channels: sine(channels, 5.0))
     seen = of_damping(identify([path], parse("linear"), SEARCH))
-    assert [(one.code, one.is_error) for one in seen] == [("one-speed", False), ("misfit", True)]
+    assert [(one.code, one.is_error) for one in seen] == [("hidden-friction", False), ("misfit", True)]
     assert not of_damping(identify([path], parse("linear+coulomb"), SEARCH))
 
 
@@ -248,7 +248,7 @@ def sequence(channels: dict[str, Array]) -> None:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("model", "code"), [(None, "friction-at-rest"), ("linear+skew", "misfit")])
+@pytest.mark.parametrize(("model", "code"), [(None, "hidden-friction"), ("linear+skew", "misfit")])
 def test_friction_at_rest_between_two_places_is_not_trusted_as_stiffness(
     make_recording: Maker, model: str | None, code: str
 ) -> None:
@@ -326,7 +326,7 @@ def relaxed_to_two_places(channels: dict[str, Array]) -> None:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("model", "code"), [(None, "friction-at-rest"), ("linear+offset", "misfit")])
+@pytest.mark.parametrize(("model", "code"), [(None, "hidden-friction"), ("linear+offset", "misfit")])
 def test_friction_that_is_stiffness_at_every_sample_is_not_trusted_as_stiffness(
     make_recording: Maker, model: str | None, code: str
 ) -> None:
@@ -363,7 +363,7 @@ def test_friction_that_is_stiffness_and_inertia_at_every_sample_is_not_trusted_a
     )
     assert "inertia" in found.model.name
     assert found.trusted("Kc") == trusted
-    assert ("friction-at-rest" in {one.code for one in found.diagnostics}) != trusted
+    assert ("hidden-friction" in {one.code for one in found.diagnostics}) != trusted
 
 
 LINES = 2.0 * np.pi * np.array([0.4, 1.1, 2.3, 4.1, 6.7, 9.3, 11.6])
@@ -391,7 +391,7 @@ def test_an_inertia_that_may_be_a_filter_of_the_angle_leaves_bc_open(
     path = make_recording(samples=2500, change=behind(1.0 / (2.0 * np.pi * 40.0), 0.0))
     found = identify([path], parse(model) if model else None, SEARCH)
     assert "inertia" in found.model.name
-    (said,) = (one for one in found.diagnostics if one.code == "filtered-angle")
+    (said,) = (one for one in found.diagnostics if one.code == "inertia-in-torque")
     values = [float(number) for number in re.findall(r"([\d.]+) N m s/rad", said.message)]
     assert sorted(values) == pytest.approx([1.19e-3, 3e-3, 4.19e-3], rel=0.03)
     assert [float(cut) for cut in re.findall(r"filter of ([\d.]+) Hz", said.message)] == pytest.approx(

@@ -168,7 +168,7 @@ def test_steps_at_the_ticks_leave_bc_in_its_interval(stepped: Path) -> None:
 
 def test_samples_beside_steps_that_are_left_out_are_counted_in_a_warning(stepped: Path) -> None:
     found = identify([stepped], parse("linear"), SEARCH)
-    (warning,) = (one for one in found.diagnostics if one.code == "acceleration-jumps")
+    (warning,) = (one for one in found.diagnostics if one.code == "unknown-rate")
     assert not warning.is_error
     assert f" {np.count_nonzero(~found.fitted)} of {SAMPLES} rows" in warning.message
 

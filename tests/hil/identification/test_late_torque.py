@@ -69,7 +69,7 @@ def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
     mean = np.exp(-1j * np.outer(OMEGA, 2e-3 * np.arange(10))).mean(axis=1)
     found = identified(make_recording, mean, "linear+skew+mean")
     assert found["Bc"].value == pytest.approx(BC, rel=0.03)
-    (said,) = [one for one in found.diagnostics if one.code == "filtered-torque"]
+    (said,) = [one for one in found.diagnostics if one.code == "torque-reading"]
     assert not said.is_error
     assert found["window"].value == pytest.approx(20e-3, rel=0.03)
     assert f"it is {1e3 * found['skew'].value:.3g} ms late and looks like a mean over" in said.message

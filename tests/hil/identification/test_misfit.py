@@ -271,7 +271,7 @@ def test_where_an_encoder_has_its_zero_changes_neither_kc_nor_bc(
     (status, far), (_, further) = (identified(capfd, path, "--model", "linear+offset") for path in paths)
 
     assert status == 0
-    assert "encoder-zero" in [one["code"] for one in far["warnings"]]
+    assert "unloaded-place" in [one["code"] for one in far["warnings"]]
     for name in ("Kc", "Bc"):
         assert further["parameters"][name]["value"] == pytest.approx(far["parameters"][name]["value"], rel=1e-6)
 
@@ -284,7 +284,7 @@ def test_an_angle_that_wraps_freezes_or_has_spikes_is_mended_with_a_warning(
     deflection, torque = multisine(time)[0], plain(time) + 5e-4 * np.random.default_rng(0).standard_normal(len(time))
     faulty = {
         "angle-wrapped": np.mod(deflection + 0.01, 2.0 * np.pi),
-        "angle-frozen": np.where(time > 2.2, deflection[1101], deflection),
+        "invalid-readings": np.where(time > 2.2, deflection[1101], deflection),
         "angle-spikes": deflection + np.where(np.arange(len(time)) % 601 == 300, 0.1, 0.0),
     }
     for code, angle in faulty.items():

@@ -69,7 +69,7 @@ def test_noise_of_a_reported_rate_is_no_lag(noise: float) -> None:
 
 def test_kc_and_bc_do_not_follow_the_filter_of_a_drive(tmp_path: Path) -> None:
     signals = read(tmp_path / "a.h5", lagged(RATE, 8e-3))
-    (said,) = [one.message for one in inspect(tmp_path / "a.h5").diagnostics if one.code == "filtered-rate"]
+    (said,) = [one.message for one in inspect(tmp_path / "a.h5").diagnostics if one.code == "unused-rate"]
     assert "ms late and" in said
     assert signals.rate_window > 0.0
     assert fitted(signals) == pytest.approx([KC, BC], rel=0.01)
