@@ -31,6 +31,7 @@ from .budget import (  # noqa: F401 - hooks
     pytest_sessionfinish,
     pytest_terminal_summary,
 )
+from .late_ticks import ALLOWED
 
 settings.register_profile("hil", deadline=None, max_examples=40)  # a busy computer makes no example wrong
 settings.load_profile("hil")
@@ -101,10 +102,8 @@ def recordings_are_quick(request: pytest.FixtureRequest, monkeypatch: pytest.Mon
 @pytest.fixture
 def busy_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a run in real time go on, and end well, where other work on this machine makes its ticks late."""
-    monkeypatch.setattr("hil.acquisition.guard._LATE_RAMP", 60.0)
-    monkeypatch.setattr("hil.acquisition.guard._LATE_OFF", 60.0)
-    monkeypatch.setattr("hil.acquisition.recorder._TOO_LONG", 60.0)
-    monkeypatch.setattr("hil.diagnostics._MOSTLY_LATE", 1.0)
+    for name, value in ALLOWED.items():
+        monkeypatch.setattr(name, value)
 
 
 @pytest.fixture(scope="session")
