@@ -15,10 +15,11 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.fitting.solution import Search
-from hil.identification.result import NORMAL, Estimate, Identification, interval, standard_error
+from hil.identification.result import Estimate, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
+from hil.signals.constants import NORMAL
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 

@@ -12,12 +12,13 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
-from hil.identification.result import NORMAL, Estimate, Fixture, Identification, interval, standard_error
+from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.recording.reader import Recording
+from hil.signals.constants import NORMAL
 from hil.signals.source import open_sources
 from hil.stand.file import load
 from hil.uncertainty.criteria import narrow

@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.coupling import Coupling
+from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 from hil.uncertainty.deflection.correction import Method
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
 
-_NORMAL = 1.959964  # half a 95 % interval in standard errors
-NORMAL = 1.96
-"""Half a 95 % interval in standard errors, as `ConfidenceIntervals.with_scale_uncertainty` has it."""
 _ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 
 
@@ -261,4 +259,4 @@ def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
     uncertainty: the relative uncertainty of the torque's scale.
     """
     half = math.sqrt(max(estimate.half_width**2 - (NORMAL * uncertainty * estimate.value) ** 2, 0.0))
-    return float(max(half / _NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))
+    return float(max(half / NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))

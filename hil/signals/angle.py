@@ -5,24 +5,35 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import NEARLY_ALL, SPREAD, TURN
+
 Array = NDArray[np.float64]
 
 _FAR = 1.5  # times the range of the angle
-_TURN = 2.0 * np.pi  # rad
 _NEAR = 0.1  # of a jump, by which one may differ from another, and that any other step may be
 _RARE = 0.05  # of the steps may be jumps
 _SMALL = 0.25  # of a turn, up to which a joint may move between two readings
 _SEVERAL = 3  # jumps, from which a range that is no turn is certain
 _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
 _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
-_MOVED = 0.3  # of the torque's range, that it covers while the reading is frozen
-_MOST = (0.02, 0.98)  # quantiles of it then: an inertia's torque comes before the first count
+_MOVED = 0.3  # of the torque's range, that nearly all of it covers while the reading is frozen
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
 _BESIDE = 65  # readings around one, by which that distance is usual there; a burst has fewer
 _ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
-_CUBIC = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0  # a reading less what the cubic through its neighbours has there
 _FEW = 0.01  # of the readings may be wrong
 _SLOWER = 10.0  # times the usual time between two changes of the reading
+
+
+def difference(order: int) -> Array:
+    """Return the weights (order + 1,) of the difference of an even order, scaled to 1 at the middle reading.
+
+    They give a reading less the value that the polynomial through its neighbours has there.
+    """
+    weights = np.poly(np.ones(order))
+    return np.asarray(weights / weights[order // 2])
+
+
+_CUBIC = difference(4)
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
@@ -34,12 +45,12 @@ def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
     the torque is continuous: behind a gear, the encoder's range can have any size.
     """
     steps = np.diff(angle)
-    whole = np.round(steps / _TURN)
-    if whole.any() and np.ptp(angle) <= _TURN and np.abs(steps - _TURN * whole).max() <= _SMALL * _TURN:
-        return np.unwrap(angle, period=_TURN), int(np.count_nonzero(whole))
+    whole = np.round(steps / TURN)
+    if whole.any() and np.ptp(angle) <= TURN and np.abs(steps - TURN * whole).max() <= _SMALL * TURN:
+        return np.unwrap(angle, period=TURN), int(np.count_nonzero(whole))
     jumps = np.abs(steps) > _NEAR * np.abs(steps).max(initial=0.0)
     size = _range_of(steps, jumps)
-    turns = [turn for turn in (_TURN, 0.5 * _TURN) if abs(size - turn) < _NEAR * turn]
+    turns = [turn for turn in (TURN, 0.5 * TURN) if abs(size - turn) < _NEAR * turn]
     if turns:
         return np.unwrap(angle, period=turns[0]), int(np.count_nonzero(jumps))
     if not size or not _goes_round(angle, torque, jumps, size):
@@ -96,7 +107,7 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     # stamps that jitter move every reading of a fast motion, and some of them alone
     first = np.clip(far - _BESIDE // 2, 0, max(len(off) - _BESIDE, 0))
     beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
-    wrong[far[np.abs(off[far]) > _ODD * 1.4826 * np.median(beside, axis=1)] + 2] = True
+    wrong[far[np.abs(off[far]) > _ODD * SPREAD * np.median(beside, axis=1)] + 2] = True
     return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
 
 
@@ -106,7 +117,7 @@ def _far(angle: Array) -> tuple[Array, NDArray[np.int64]]:
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
     least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
-    return off, np.flatnonzero(np.abs(off) > _ODD * max(1.4826 * float(np.median(np.abs(off))), least))
+    return off, np.flatnonzero(np.abs(off) > _ODD * max(SPREAD * float(np.median(np.abs(off))), least))
 
 
 def bursts(angle: Array, torque: Array) -> NDArray[np.bool_]:
@@ -161,5 +172,5 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     usual = float(lasted.sum() - lasted.max()) / (len(lasted) - 1)
     for at in np.flatnonzero(lasted > max(_LONGEST, _SLOWER * usual)).tolist():
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
-        found[rows] = np.ptp(np.quantile(torque[rows], _MOST)) > _MOVED * np.ptp(torque)
+        found[rows] = np.ptp(np.quantile(torque[rows], (1.0 - NEARLY_ALL, NEARLY_ALL))) > _MOVED * np.ptp(torque)
     return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,11 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import bursts, frozen, spikes
+from hil.signals.constants import FEWEST
 from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
 Array = NDArray[np.float64]
-
-FEWEST: Final = 16
-"""The smallest number of samples from which anything is concluded."""
 
 _LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 _EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed

@@ -13,15 +13,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import ACCURATE, FEWEST
+
 Array = NDArray[np.float64]
 
 FEW_COUNTS: Final = 40.0
 """The encoder counts of the motion, peak to peak, below which rounding follows the motion and is not white noise."""
 
-_MATTERS: Final = 5e-4  # of Kc or Bc
 _CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
 _HALF: Final = 32  # samples: half of a window of the spectra, which says how much two readings share
-_ENOUGH: Final = 16  # windows for that
 _CHANCE: Final = 1.4  # windows' worth of power, that two readings share by chance: half of one is in the next
 _CLEARLY: Final = 0.9  # of a noise, below which less of it is certain: of white noise it is 0.97 to 1.03
 _DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
@@ -65,7 +65,7 @@ def _unshared(values: Array, other: Array) -> float:
     It is computed from the upper half of the spectrum; infinite for too few rows.
     """
     count = len(values) // _HALF - 1
-    if count < _ENOUGH:
+    if count < FEWEST:
         return np.inf
     taper = np.hanning(2 * _HALF + 1)[:-1]
     starts = _HALF * np.arange(count)[:, None] + np.arange(2 * _HALF)
@@ -80,7 +80,7 @@ def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
     """Return whether noise of the deflection, rad, and noise of its rate, rad/s, would change Kc or Bc by 0.05 %."""
     of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (read.dtheta, read.rate))
     attenuated = max(noise**2 / of_deflection, rate_noise**2 / of_rate)
-    return bool(attenuated > _MATTERS or _drawn(read, noise) > _MATTERS)
+    return bool(attenuated > ACCURATE or _drawn(read, noise) > ACCURATE)
 
 
 def _drawn(read: Read, noise: float) -> float:
@@ -93,7 +93,14 @@ def _drawn(read: Read, noise: float) -> float:
     alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
     if float(np.mean(alone**2)) * _CONFUSED < float(np.mean(slope**2)):
         return 0.0  # a skew cannot be distinguished, and is not included
-    gained = _DRAWN * (stiffness * noise) ** 2 / read.step
-    longest = 0.5 * read.step
-    drawn = min(longest, gained / max(float(np.mean(alone**2)), 1e-300))
+    drawn = skew_by_noise(stiffness * noise, alone, read.step)
     return float(abs(stiffness * drawn / damping)) if damping else np.inf
+
+
+def skew_by_noise(noise: float, column: Array, step: float) -> float:
+    """Return the skew, s, towards which noise of the deflection biases a fit: at most half the time between readings.
+
+    A delay by a fraction of a sample averages the noise of the readings. noise: times the stiffness, N m. column (n,):
+    the torque per second of skew that no other parameter makes, N m/s. step: time between two readings, s.
+    """
+    return min(0.5 * step, _DRAWN * noise**2 / (step * max(float(np.mean(column**2)), 1e-300)))

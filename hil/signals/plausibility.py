@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ga.model.trajectory import Motion
 from hil import units
 from hil.diagnostics import Diagnostic
+from hil.signals.constants import ENOUGH, TURN
 from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
@@ -22,12 +23,10 @@ GROSS = 3.0
 """The ratio of a channel to the stand's limit above which the channel's unit must be wrong."""
 
 _TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
-_TURN = 2.0 * math.pi
 _ODD_STIFFNESS = 1000.0  # of what the limits suggest, in either direction
 _LEAST = 1e-3  # of a limit, below which a unit does not explain the readings
 _MOST_LEFT = 0.5  # of the torque's variance, which a coupling with a wrong sign may leave
 _SURE = 10.0  # standard errors of independent residuals, by which its stiffness is negative
-_ROWS = 50_000  # samples that are enough to see it
 _MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "torque": ("mN*m", "N*m", "N*cm", "kgf*cm", "ozf*in", "uN*m", "gf*cm", "lbf*in"),
@@ -63,7 +62,7 @@ def in_words(torque: Swing, deflection: Swing) -> str:
     turns".
     """
     span = 2.0 * deflection.half
-    turned = f"{span / _TURN:.3g} turns" if _turns(deflection) else f"{math.degrees(span):.3g} deg"
+    turned = f"{span / TURN:.3g} turns" if _turns(deflection) else f"{math.degrees(span):.3g} deg"
     return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, a span of {turned}"
 
 
@@ -104,7 +103,7 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     certain.
     """
     one_frequency = motion.has_one_frequency
-    rows = slice(None, None, max(1, len(motion) // _ROWS))
+    rows = slice(None, None, max(1, len(motion) // ENOUGH))
     inertia = () if one_frequency else (motion.dtheta_ddot,)
     columns = np.stack([motion.dtheta, motion.dtheta_dot, *inertia], axis=1)[rows]
     columns = columns - columns.mean(axis=0)
@@ -162,14 +161,14 @@ def _turns(deflection: Swing) -> bool:
     """Return whether the deflection spans more than a turn. No coupling deflects as far, unless the limits of its stand
     allow it.
     """
-    return 2.0 * deflection.half > _TURN
+    return 2.0 * deflection.half > TURN
 
 
 def _many_turns(deflection: Swing) -> list[Diagnostic]:
     if not _turns(deflection):
         return []
     message = (
-        f"the deflection spans {2.0 * deflection.half / _TURN:.3g} turns, which no coupling does. If the column is "
+        f"the deflection spans {2.0 * deflection.half / TURN:.3g} turns, which no coupling does. If the column is "
         "in degrees, Kc and Bc are 57 times too low. Import it with --dtheta-unit deg, or check the gear ratio. Where "
         "the joint does turn so far, import it with --stand FILE, whose limits.deflection allows it"
     )

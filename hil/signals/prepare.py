@@ -23,7 +23,8 @@ from hil.recording.ahead import ahead
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
-from hil.signals.defects import FEWEST, Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
+from hil.signals.constants import FEWEST
+from hil.signals.defects import Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
 from hil.signals.rate.own_rate import OwnRate, is_difference, refused_rate
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth, window_for

@@ -12,6 +12,7 @@ from drivers.servo import Status
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
+from hil.signals.constants import GAIN_ERROR, SPREAD
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
@@ -28,7 +29,6 @@ _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the 
 _POOR_SNR = 20.0  # dB
 _NOTABLE = 0.01  # share of rows that are lost or saturated, above which Kc and Bc may suffer
 _MANY_JERKED = 0.05
-_GAIN_ERROR = 5e-3
 _SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
 _UNSURE = 0.1  # of a tick, from which the age of readings is uncertain
 _ROWS = 1 << 20  # rows of the status read at a time
@@ -251,10 +251,10 @@ def _noise(signals: Signals) -> float:
     cycles = signals.band[1] * mean_step(time)
     if cycles > _SPARSE:
         return _noise_beside_motion(signals)
-    half = widest(0, cycles, max(2, (len(time) - 1) // 8), _GAIN_ERROR)
+    half = widest(0, cycles, max(2, (len(time) - 1) // 8), GAIN_ERROR)
     residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)
     # a window across a pause gives no value
-    return 1.4826 * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
+    return SPREAD * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
 def _noise_beside_motion(signals: Signals) -> float:
@@ -262,7 +262,7 @@ def _noise_beside_motion(signals: Signals) -> float:
     motion = signals.motion
     columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot, np.ones(len(motion))], axis=1)
     residual = signals.as_read - columns @ np.linalg.lstsq(columns, signals.as_read, rcond=None)[0]
-    return 1.4826 * float(np.median(np.abs(residual)))
+    return SPREAD * float(np.median(np.abs(residual)))
 
 
 def _count(stretch: Signals, dtheta: Array) -> float:

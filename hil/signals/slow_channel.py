@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals.constants import BLOCKS, NEARLY_ALL, SPREAD, SURE
 from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
@@ -31,7 +32,6 @@ _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which
 _UNEVEN: Final = 0.35  # of a pace, by which it varies at most
 _ODD: Final = 0.1  # ticks squared, by which chance varies it
 _OFF_PACE: Final = 0.6  # of the time between two ticks, by which a reading may be off an even pace
-_ON_PACE: Final = 0.98  # part of the readings that keep it
 _LOCAL: Final = 40  # readings over which a pace is even, where that of a whole recording drifts
 _TWICE: Final = 1.75  # usual steps, from which a reading is missing
 _CONSTRAINTS: Final = 2000  # readings that a pace must fit
@@ -40,19 +40,15 @@ _PER_PLACE: Final = 20  # readings for each
 _BRANCHES: Final = 5  # that relax, from the time of one reading
 _SLOWEST: Final = 0.05  # to so much of the recording
 _ROUNDS: Final = 3  # in which age and drift are found beside the shape
-_BLOCKS: Final = 32  # parts of a recording, whose scatter says how sure a drift of the pace is
-_SURE: Final = 3.0  # standard errors, from which the pace drifts
 _NO_CHANGE: Final = 1e-9  # of the power of a drift's torque, that must be new
-_OF_NORMAL: Final = 1.4826  # standard deviation of normal noise, per median of its size
 _MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
 _ROUNDED: Final = 1e-6  # ms
 _STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
 _SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
 _SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
-_LINES: Final = (0.1, 0.98)  # part of the samples on a line with both neighbours: fewer by chance, more on a ramp
+_LINES: Final = 0.1  # part of the samples on a line with both neighbours: fewer by chance
 _ROUGH: Final = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
 _ROUNDED_UP: Final = 0.02  # part of the samples whose bends lie between both, from which they are rounded so
-_SHARPEST: Final = 0.98  # quantile of the bends that is a sharp one where lines make up most of the samples
 _BENT: Final = 0.9  # quantile of the bends that is a usual one
 _AT_ZERO: Final = 1.31  # part of normal bends that is below a small part of that quantile, per part
 _BEYOND_CHANCE: Final = 2.0  # times what random bends have of lines, that lines make up at least
@@ -173,8 +169,8 @@ def repaced(own: Readings, motion: Motion) -> Array:
         drift = float(np.clip(drift + more, -most, most))
     everything = np.column_stack([known, drifting])
     left = seen - everything @ np.linalg.lstsq(everything, seen, rcond=None)[0]
-    scores = [float(part.sum()) for part in np.array_split(alone * left, _BLOCKS)]
-    if abs(drift) <= _SURE * float(np.linalg.norm(scores)) / power:
+    scores = [float(part.sum()) for part in np.array_split(alone * left, BLOCKS)]
+    if abs(drift) <= SURE * float(np.linalg.norm(scores)) / power:
         return time
     return np.asarray(time + drift * since)
 
@@ -195,7 +191,7 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     seen = own.value[inside][few][np.searchsorted(time[few], at.time)]
     left = seen - shapes @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
     free = max(len(left) - shapes.shape[1], 1)
-    return float(_OF_NORMAL * np.median(np.abs(left)) * np.sqrt(len(left) / free))
+    return float(SPREAD * np.median(np.abs(left)) * np.sqrt(len(left) / free))
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:
@@ -268,7 +264,7 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
         parts = np.array_split(np.arange(len(middle)), max(1, len(middle) // size))
         paces = [_even(whole[part], before[part], shown[part]) for part in parts]
         at = np.concatenate([pace for pace, _, _ in paces])
-        if np.mean(np.abs(at - middle) <= _OFF_PACE * (shown - before)) >= _ON_PACE:
+        if np.mean(np.abs(at - middle) <= _OFF_PACE * (shown - before)) >= NEARLY_ALL:
             drifts = paces[0][2] if len(paces) == 1 else 0.0  # what one part leaves open, the next one says
             return np.clip(at, before, shown), max(unsure for _, unsure, _ in paces), drifts
     return middle, 0.0, 0.0
@@ -324,7 +320,7 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
     rounds larger values by more than a count.
     """
     fine = max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
-    rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], _SHARPEST)))
+    rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], NEARLY_ALL)))
     return rough if float(np.mean((bends > fine) & (bends <= rough))) > _ROUNDED_UP else fine
 
 
@@ -353,8 +349,8 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     reach = 2 * usual
     # a smooth motion hardly bends beside a sample where it does not
     sharp = _largest_near(np.where(np.isfinite(bends), bends, 0.0), reach) > _SHARP * tolerance
-    least = max(_LINES[0], _BEYOND_CHANCE * by_chance)
-    return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= _LINES[1] and _mostly(sharp[on])
+    least = max(_LINES, _BEYOND_CHANCE * by_chance)
+    return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= NEARLY_ALL and _mostly(sharp[on])
 
 
 def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:

@@ -7,13 +7,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import ENOUGH
+
 Array = NDArray[np.float64]
 
 _MANY = 0.05  # share of repeated stamps above which a clock is coarse, and of missing rows from which a gap is a pause
 _UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
 # s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
 _ROWS = 20  # over which the usual pace is taken: more than a burst has
-_LOOKED_FOR_BURSTS = 100_000
 _BURST = 0.2  # of a usual step, below which two rows were stamped together
 _LATE = 1.2  # times between two bursts, by which the rows of one are stamped too late at most
 _IN_BURSTS = 0.3  # share of such steps from which rows arrived in bursts: samples at random times have 0.18
@@ -71,7 +72,7 @@ def _together(time: Array) -> float:
     A packet brings several rows, which a computer stamps one after the other. Jitter of a loop seldom brings samples so
     close.
     """
-    time = time[:_LOOKED_FOR_BURSTS]
+    time = time[:ENOUGH]
     steps = np.diff(time)
     near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
     are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > _MANY

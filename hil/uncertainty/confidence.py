@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import DEPENDENT, ENOUGH, NORMAL, SPREAD, UPPER
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 
 Array = NDArray[np.float64]
 
-_QUANTILES = 1 << 16  # residuals from which the quantiles of all are estimated
-_DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
 _SMALLEST = 1e-150  # N m, the least rounding: where all torque is zero, sums are divided by it
 _PART = 1e-5  # of a dependent combination, below which a parameter takes no part in it
 
@@ -46,7 +45,7 @@ class ConfidenceIntervals:
         uncertainty: relative standard uncertainty of the quantity, such as the torque, that the parameters (p,) are
         proportional to. values (p,): the parameters.
         """
-        return replace(self, half_width=np.hypot(self.half_width, 1.96 * uncertainty * np.abs(values)))
+        return replace(self, half_width=np.hypot(self.half_width, NORMAL * uncertainty * np.abs(values)))
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
         """Return the intervals with the sampling half widths replaced by those of averages over models.
@@ -99,7 +98,7 @@ def covariance(blocks: Blocks, genes: Array) -> Covariance:
     kernel, spectrum = _second_pass(blocks, genes, sums)
     bread, near = _inverse(kernel)
     distinct &= near
-    quantile[distinct] = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), 0.975)
+    quantile[distinct] = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), UPPER)
     inflation[distinct] = (np.diag(gram) * np.diag(sums.gram) / sums.count)[distinct]
     matrix = np.where(np.outer(distinct, distinct), bread @ spectrum.covariance @ bread, 0.0)
     return Covariance(matrix, quantile, distinct, inflation)
@@ -122,7 +121,7 @@ def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
     excited = size > 0.0
     units = np.outer(*[np.where(excited, size, 1.0)] * 2)
     strengths, directions = np.linalg.eigh(gram / units)
-    dependent = strengths <= _DEPENDENT * max(float(strengths[-1]), 0.0)
+    dependent = strengths <= DEPENDENT * max(float(strengths[-1]), 0.0)
     distinct = excited & (np.linalg.norm(directions[:, dependent], axis=1) < _PART)
     inverse = (directions / np.where(dependent, np.inf, strengths)) @ directions.T
     return np.asarray(inverse / units), distinct
@@ -143,7 +142,7 @@ class _Sums:
 
 
 def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
-    count, power, every = 0, 0.0, max(1, blocks.rows // _QUANTILES)
+    count, power, every = 0, 0.0, max(1, blocks.rows // ENOUGH)
     gram, kept = np.zeros((len(genes), len(genes))), []
     for columns, torque in blocks():
         first = -count % every
@@ -179,7 +178,7 @@ def _kernel_width(sums: _Sums) -> float:
     from scipy.special import ndtri
 
     residuals, count = sums.residuals, sums.count
-    sigma = min(float(np.std(residuals)), float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))) / 1.349)
+    sigma = min(float(np.std(residuals)), 0.5 * SPREAD * float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))))
     share = count ** (-1 / 5) * (4.5 / (2.0 * np.pi) ** 2) ** (1 / 5)
     fewest = float(np.quantile(np.abs(residuals), min(1.0, 100.0 / count)))
     return max(sigma * float(ndtri(0.5 + min(share, 0.45))), fewest, sums.rounding)

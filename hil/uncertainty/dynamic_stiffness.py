@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import UPPER
 from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
@@ -249,7 +250,7 @@ def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
     scores = np.abs(left * weights / abs(total)) ** 2
     variance = float(scores.sum()) / 2.0 * _ALIKE
     freedom = max(1.0, float(scores.sum() ** 2 / max(float((scores**2).sum()), 1e-300)) * 2.0 / _ALIKE - 2.0)
-    half = float(stdtrit(freedom, 0.975)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
+    half = float(stdtrit(freedom, UPPER)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
     mean_speed = float(abs(turning / total))
     coherence = 1.0 - float(np.sum(np.abs(left) ** 2)) / float(np.sum(np.abs(torque) ** 2))
     return [(mean_speed / (2.0 * np.pi), stiffness, half, damping, half / mean_speed, max(0.0, coherence))]

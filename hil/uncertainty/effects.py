@@ -21,18 +21,19 @@ from ga.model.memory import slide_along
 from ga.model.record import Mark, Parameter, Regressors, Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
+from hil.signals.angle import difference
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.rate.low_pass import transform_size
 from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
 Array = NDArray[np.float64]
 
-_CONSTANTS: Final = (0.003, 0.01, 0.03, 0.1, 0.3)  # s, of a Maxwell branch
-_PARTS: Final = (0.02, 0.07, 0.25, 0.8)  # of the largest deflection, over which friction acts
+_CONSTANTS: Final = tuple(np.geomspace(0.003, 0.3, 5).tolist())  # s, of a Maxwell branch
+_PARTS: Final = tuple(np.geomspace(0.02, 0.8, 4).tolist())  # of the largest deflection, over which friction acts
 _GAPS: Final = tuple(np.geomspace(0.01, 0.8, 9).tolist())  # of it, over which a gap may be open
 _SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
-_SIXTH: Final = np.array([-1.0, 6.0, -15.0, 20.0, -15.0, 6.0, -1.0]) / 20.0
+_SIXTH: Final = difference(6)
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance of `reading_noise` if the deflection has white noise of variance one."""
 

@@ -17,25 +17,24 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import ACCURATE, FEWEST
+from hil.signals.deflection_noise import skew_by_noise
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
 from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
-from hil.uncertainty.scores import FEWEST, SHORTEST, Scores
+from hil.uncertainty.scores import SHORTEST, Scores
 
 Array = NDArray[np.float64]
 
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
 _LIMIT: Final = 20_000  # samples that are looked at
 _DENSE: Final = 40.0  # samples a period that are enough
-_PIECES: Final = 16  # stretches that are taken of longer recordings
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
 _OF_GAP: Final = (0.7, 1.5)  # times -Kc, the factor of a gap whose width or middle lies between those of the columns
 _NARROW: Final = 0.03  # of the largest deflection, half the width below which a gap may be narrower than its column
 _BY_CHANCE: Final = 0.01  # probability that one of all effects explains as much of nothing, from which it is no suspect
 _MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
-_ACCURATE: Final = 5e-4  # of Kc and Bc, within which the rate is known
-_DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,9 +240,7 @@ class _Tests:
         others = np.delete(fitted.columns, fitted.skew, axis=1)
         column = fitted.columns[:, fitted.skew]
         alone = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-        longest = 0.5 * recorded.step
-        drawn = _DRAWN * stiffness**2 * noise / (recorded.step * max(float(np.mean(alone**2)), 1e-300))
-        return np.array([attenuated, stiffness * min(longest, drawn)])
+        return np.array([attenuated, stiffness * skew_by_noise(stiffness * noise**0.5, alone, recorded.step)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
         """Return changes (2,) of Kc and Bc relative to `_scale`; 0 where the scale is zero."""
@@ -287,7 +284,7 @@ class _Tests:
 
     def _is_outside(self, sizes: Array) -> bool:
         scale = self._scale
-        return bool((sizes * scale > np.maximum(self._fitted.half_width, _ACCURATE * scale)).any())
+        return bool((sizes * scale > np.maximum(self._fitted.half_width, ACCURATE * scale)).any())
 
     def _correlation(self) -> tuple[Array, Array]:
         """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
@@ -313,8 +310,8 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
     rows = np.arange(0, len(recorded), max(1, min(len(recorded) // _LIMIT, int(dense))))
     starts: set[int] = set()
     if len(rows) > _LIMIT:
-        length = _LIMIT // _PIECES
-        firsts = np.linspace(0, len(rows) - length, _PIECES).astype(int)
+        length = _LIMIT // FEWEST
+        firsts = np.linspace(0, len(rows) - length, FEWEST).astype(int)
         rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
         starts = set(range(0, len(rows), length))
     kept = None if fitted.kept is None else fitted.kept[rows]

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import ACCURATE, RELEVANT
 from hil.uncertainty.effects import Effect
 
 Array = NDArray[np.float64]
@@ -19,9 +20,7 @@ FALSE_ALARMS: Final = 0.002
 """The probability that any test rejects a model that is right."""
 
 _SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
-_GRAVE: Final = (5e-3, 0.03)  # of Kc and Bc, from which a misfit is an error
 _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
-_ACCURATE: Final = 5e-4  # of the torque's deviation, to which its readings and the rate are ever right
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 _OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
 _AGAIN: Final = 1.5  # times its own power: of twice the errors regressors with all predict 2, and of the first half 0.5
@@ -165,7 +164,7 @@ class LackOfFit:
 
     @property
     def _grave(self) -> list[str]:
-        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(_GRAVE), strict=True)
+        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(RELEVANT), strict=True)
         return [name for name, size, most in sizes if size > most]
 
     def _limits(self, relative: tuple[float, float]) -> tuple[float, float]:
@@ -199,7 +198,7 @@ class LackOfFit:
         if self.of_noise or not self.failed:
             return False
         if self._is_small:
-            return self.share >= _PLAIN and self.unexplained > _ACCURATE and not self._is_harmless
+            return self.share >= _PLAIN and self.unexplained > ACCURATE and not self._is_harmless
         if self._is_vague:
             return False
         return self.outside or (self.share >= _SHARE and not self._is_harmless)
@@ -220,7 +219,7 @@ class LackOfFit:
     def _is_small(self) -> bool:
         """Return whether the misfit is smaller than the errors of real sensors, in Kc and Bc or in the torque."""
         first, second = self._limits(_SMALL)
-        return (self.Kc <= first and self.Bc <= second) or self.unexplained <= _ACCURATE
+        return (self.Kc <= first and self.Bc <= second) or self.unexplained <= ACCURATE
 
     @property
     def _is_vague(self) -> bool:

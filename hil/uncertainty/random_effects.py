@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import NORMAL, UPPER
+
 Array = NDArray[np.float64]
 
-_NORMAL = 1.959964  # half a 95 % interval in standard deviations
 _OUTSIDE = 0.005  # probability that one more measurement is as far from the others, to one side
 _STEPS = 200  # a step at least doubles a variance that is far too small: enough for 60 decades
 _ROUNDING = 1e-14
@@ -145,7 +146,7 @@ def _fit(design: Array, values: Array, errors: Array) -> _Fit:
     factor = float(np.sqrt(weight @ (values - design @ beta) ** 2 / freedom))
     by_residuals = np.sqrt(np.diag(inverse)) * factor
     by_errors = np.sqrt(np.diag(np.linalg.inv(design.T @ (design / errors[:, None] ** 2))))
-    half = np.maximum(stdtrit(freedom, 0.975) * by_residuals, _NORMAL * by_errors)
+    half = np.maximum(stdtrit(freedom, UPPER) * by_residuals, NORMAL * by_errors)
     return _Fit(beta, by_residuals, by_errors, half, variance, freedom)
 
 
@@ -182,5 +183,5 @@ def _between_interval(design: Array, values: Array, errors: Array, freedom: int)
     """
     from scipy.special import chdtri
 
-    low, high = (_variance_where(design, values, errors, float(chdtri(freedom, tail))) for tail in (0.025, 0.975))
+    low, high = (_variance_where(design, values, errors, float(chdtri(freedom, tail))) for tail in (1.0 - UPPER, UPPER))
     return float(np.sqrt(low)), float(np.sqrt(high))

@@ -13,8 +13,7 @@ from hil.uncertainty.effects import Recorded, of_readings
 
 Array = NDArray[np.float64]
 
-_LAGS: Final = (0.002, 0.005, 0.012, 0.03, 0.08, 0.2)  # s
-_AHEAD: Final = -0.005  # s: readings that were interpolated know what comes
+_LAGS: Final = tuple(np.geomspace(0.002, 0.2, 6).tolist())  # s
 _TURNS: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # of a wave over half the range of the angle
 _CELLS: Final = 7  # a side of the plane of deflection and rate
 _PRESLIDING: Final = (0.03, 0.2)  # of the largest deflection
@@ -66,8 +65,8 @@ def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
 
 
 def _of_before(recorded: Recorded, x: Array, v: Array) -> Array:
-    step = recorded.step
-    lags = [lag for lag in _LAGS if lag >= step] + [-step, step, _AHEAD]
+    step, early = recorded.step, -_LAGS[1]  # readings that were interpolated know what comes
+    lags = [*(lag for lag in _LAGS if lag >= step), -step, step, early]
     delayed = [recorded.delayed(values, lag) for values in (x, v) for lag in lags]
     return np.stack([*delayed, recorded.slope(v)], axis=1)
 

@@ -22,11 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import DEPENDENT
+
 Array = NDArray[np.float64]
 
 _LONGEST = 1 << 15  # samples of a segment: residuals further apart count as uncorrelated
 _FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
-_DEPENDENT = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent
 _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
 _SLOW, _NEXT = np.maximum(np.arange(_FEWEST), 1), np.arange(_FEWEST, 2 * _FEWEST)  # lines of the two lowest bands
 _FALLS = np.linspace(0.0, 2.0, 41)  # exponents of the power over the frequency, from white noise to a random walk
@@ -133,7 +134,7 @@ def _fitted(crossed: Array) -> Array:
     gram = crossed.sum(axis=0)
     sizes = np.sqrt(np.diag(gram))
     units = np.outer(*[np.where(sizes > 0.0, sizes, 1.0)] * 2)
-    inverse = np.linalg.pinv(gram / units, rcond=_DEPENDENT, hermitian=True) / units
+    inverse = np.linalg.pinv(gram / units, rcond=DEPENDENT, hermitian=True) / units
     return np.asarray(0.5 * np.einsum("pq,bqp->b", inverse, crossed))
 
 

@@ -10,13 +10,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import CLIPPED, FEWEST, SPREAD
+
 Array = NDArray[np.float64]
 
-FEWEST: Final = 16
 SHORTEST: Final = 25
-"""FEWEST: the smallest number of blocks. SHORTEST: the smallest number of samples in a block."""
+"""The smallest number of samples in a block."""
 
-_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 _GROSS: Final = 10.0  # the same where the size of an effect is estimated
 _FLIPS: Final = 16383  # of the blocks' signs
 _MOST: Final = 64  # blocks
@@ -36,7 +36,7 @@ class Scores:
 
     def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
         self._basis, self._kept = _basis(columns), kept[:, None]
-        self.scores = _clipped(residuals, self._basis, kept, _CLIPPED)
+        self.scores = _clipped(residuals, self._basis, kept, CLIPPED)
         self._left = residuals
 
     @cached_property
@@ -129,7 +129,7 @@ def _spread(residuals: Array) -> float:
     """Return the standard deviation of residuals, N m, robust to outliers unless more than half of the residuals are
     zero.
     """
-    return 1.4826 * float(np.median(np.abs(residuals))) or float(np.std(residuals))
+    return SPREAD * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 
 def _blocks(scores: Array) -> NDArray[np.int64]:

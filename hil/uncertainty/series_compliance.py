@@ -20,13 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
-from hil.signals.stamps import mean_step, pieces
+from hil.signals.rate.spectrum import power_of
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 50
 _CONVERGED = 1e-12
-_TAPER = 40  # the part of a deflection over which it is tapered at each end
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +56,10 @@ class Excitation:
     @classmethod
     def of(cls, time: Array, dtheta: Array) -> Excitation:
         """Return the excitation of a recording: deflection (n,) rad at times (n,) s, which need not be evenly
-        spaced. The powers of the pieces between pauses are added.
+        spaced.
         """
-        count, power = len(time), np.zeros(len(time) // 2 + 1)
-        for part in pieces(time):
-            at, rows = time[part], part.stop - part.start
-            even = np.interp(np.linspace(at[0], at[-1], rows), at, dtheta[part])
-            # flat but for its ends: a window over all of it would weigh a sweep's frequencies by their hour
-            rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, rows // _TAPER + 1) / (rows // _TAPER + 1))
-            window = np.concatenate([rise, np.ones(rows - 2 * len(rise)), rise[::-1]])
-            power += np.abs(np.fft.rfft((even - even.mean()) * window, count)) ** 2
-        return cls(np.asarray(np.fft.rfftfreq(count, mean_step(time)), np.float64), power)
+        frequency, power, _ = power_of(time, dtheta)
+        return cls(frequency, power)
 
 
 def corrected(measured: Element, fixture: Element, excitation: Excitation) -> Element:

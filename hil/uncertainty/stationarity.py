@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
+from hil.signals.constants import NORMAL, RELEVANT
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
 from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
@@ -20,9 +21,7 @@ from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
 
-_NORMAL = 1.96
 _CHANCE = 0.001  # that recordings which do not differ are so far apart
-_NOTABLE = 0.005  # of a value, by which a recording must be apart to be named
 _OF_ERROR = 0.5  # of the mean error of the fit, from which another zero makes a part of it
 _OTHERS = {True: "the others", False: "the other one"}
 _PARTS = 4  # of a recording, each of which gives its own estimate of Kc
@@ -58,7 +57,7 @@ def pooled_intervals(
     widened, components = intervals.half_width.copy(), list[VarianceComponents | None]()
     for at in range(len(widened)):
         usable = [
-            (values[at], half[at] / _NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
+            (values[at], half[at] / NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
         ]
         if len(usable) < 2:
             components.append(None)
@@ -85,7 +84,7 @@ def disagreement(
             continue
         values = np.array(one.values)
         at, usual = _most_apart(values)
-        if not abs(values[at] - usual) > _NOTABLE * abs(usual):
+        if not abs(values[at] - usual) > RELEVANT[0] * abs(usual):
             continue
         other = _OTHERS[len(values) > 2]
         differs = f"is {values[at]:.3g} (SI), and that of {other} is zero"

@@ -22,7 +22,7 @@ from hil.identification.candidates.late import EARLIER, Alternative, Lateness
 from hil.identification.candidates.stepwise import Selection
 from hil.identification.coupling import Coupling
 from hil.identification.result import Step
-from hil.signals.defects import FEWEST
+from hil.signals.constants import FEWEST
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
 

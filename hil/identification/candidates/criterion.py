@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ga.model.terms import RARER, TERMS, is_addable, with_another
 from hil.identification.candidates.fits import FOLDS, Candidate, Fits
-from hil.signals.defects import FEWEST
+from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import smallest_step
 from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure

@@ -36,7 +36,8 @@ from hil.identification.candidates.late import Alternative
 from hil.identification.mixture.deflection import read_with_errors
 from hil.identification.mixture.largest import BENCH, Largest, contains, largest_model, own_values
 from hil.identification.mixture.rate_laws import falling, growing
-from hil.identification.result import NORMAL, Step
+from hil.identification.result import Step
+from hil.signals.constants import NORMAL, UPPER
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average
@@ -173,7 +174,7 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 
         return low + step * bisect_left(range(_PLACES), share, key=below)
 
-    least, value, most = beyond(0.025), beyond(0.5), beyond(0.975)
+    least, value, most = beyond(1.0 - UPPER), beyond(0.5), beyond(UPPER)
     return Averaged(value, max(most - value, value - least))
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hil.diagnostics import Diagnostic
 from hil.identification.result import Deflection
 from hil.identification.verdict.evidence import Evidence
+from hil.signals.constants import RELEVANT
 from hil.signals.prepare import Signals
 from hil.uncertainty.criteria import COUPLING, INTERVAL
 from hil.uncertainty.deflection.correction import DeflectionErrors
@@ -16,7 +17,6 @@ from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
 Array = NDArray[np.float64]
 
-_SAID = (5e-3, 0.03)  # changes of Kc and Bc, relative, from which they are a warning
 _FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
 _FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
 _IMPORTED = ", or name its column with --command"
@@ -59,7 +59,7 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
         if not abs(change) < most
     ]
     sizes = [abs(changes.get(name, 0.0)) for name in COUPLING]
-    if not said and any(size > least for size, least in zip(sizes, _SAID, strict=True)):
+    if not said and any(size > least for size, least in zip(sizes, RELEVANT, strict=True)):
         how = "the command" if found.method == "instruments" else "a simulation of the noise, which is less accurate"
         moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
         text = f"{_cause(found)}. They are corrected with {how}: {moved}. To need less correction, {_REMEDY}"

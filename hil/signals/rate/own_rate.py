@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
+from hil.signals.constants import ENOUGH, SURE
 from hil.signals.stamps import APART
 
 Array = NDArray[np.float64]
 
-_LOOKED: Final = 1 << 16  # samples
 _PHASE: Final = 5e-3  # rad at the upper end of the band, and of the rate's size, that Kc and Bc do not feel
-_SURE: Final = 4.0  # standard errors, from which a lag or a size is no chance
 _LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
 _FINE: Final = 16  # lags a side that are tried first
 _NOISIER: Final = 0.02  # of the residuals' power, from which the tests of the fit see it
@@ -78,7 +77,7 @@ def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> b
     neighbours, or to the sample before or after; the rate then has the errors of the deflection. derived: see
     `own_rate`.
     """
-    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    good = np.flatnonzero(np.isfinite(derived))[:ENOUGH]
     quotients = np.diff(dtheta) / np.diff(time)
     before, after = np.append(quotients[0], quotients), np.append(quotients, quotients[-1])
     own = (given - derived)[good]
@@ -96,7 +95,7 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     time (n,): s. given (n,): the recorded rate, rad/s. derived (n,): the derivative, rad/s, NaN at samples without one.
     highest: the upper end of the excited band, Hz.
     """
-    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    good = np.flatnonzero(np.isfinite(derived))[:ENOUGH]
     longest = _LONGEST / highest
     known, inside = (time[good], derived[good]), _inside(time[good], longest)
     time, given, derived = time[good][inside], given[good][inside], derived[good][inside]
@@ -119,8 +118,8 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     turning = np.gradient(known[1], known[0])[inside]
     independent = max(1.0, min(float(len(time)), _EFFECTIVE * highest * float(time[-1] - time[0])))
     error = np.sqrt(rest / len(time) / independent)  # of a rate of 1 rad/s, coloured as the band is
-    late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), _SURE * error / float(np.sqrt(np.mean(turning**2))))
-    other = abs(size - 1.0) > max(_PHASE, _SURE * error / float(np.sqrt(power / len(time))))
+    late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), SURE * error / float(np.sqrt(np.mean(turning**2))))
+    other = abs(size - 1.0) > max(_PHASE, SURE * error / float(np.sqrt(power / len(time))))
     return OwnRate(lag, size) if late or other else None
 
 
@@ -138,7 +137,7 @@ def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRat
     The torque is fitted with a spring and a damper, once with each rate: the noisier rate leaves larger residuals.
     dtheta: deflection, rad.
     """
-    good = np.flatnonzero(np.isfinite(derived))[:_LOOKED]
+    good = np.flatnonzero(np.isfinite(derived))[:ENOUGH]
     target = torque[good]
 
     def left(rate: Array) -> float:

@@ -8,17 +8,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import GAIN_ERROR
 from hil.signals.stamps import mean_step, pieces
 
 Array = NDArray[np.float64]
 
-_LOW_SHARE, _HIGH_SHARE = 0.01, 0.99  # of the power of deflection and rate: the ends of the band
+_SHARE = 0.01  # of the power of the deflection below the band, and of the rate above it
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
 _COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
 _MAIN = 0.9  # of the rate's power: the motion, without its ripple
 _RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
-_FELT_RIPPLE = 3e-4  # of the rate's power, from which it may change Bc
 _RISES = 7.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
 
@@ -30,6 +30,24 @@ def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
     median density in the upper half of the spectrum.
     """
     return Spectrum.of(time, dtheta).band
+
+
+def power_of(time: Array, values: Array) -> tuple[Array, Array, float]:
+    """Return frequencies (k,), Hz, the power (k,) of values (n,) at rising stamps (n,), s, and that of white noise of
+    variance one.
+
+    The powers of the pieces between pauses are added. Only the outermost samples of a piece are tapered, because a
+    chirp is fastest at its end.
+    """
+    count, power, weight = len(time), np.zeros(len(time) // 2 + 1), 0.0
+    for part in pieces(time):
+        rows = part.stop - part.start
+        uniform = np.interp(np.linspace(time[part][0], time[part][-1], rows), time[part], values[part])
+        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(rows) + 0.5) / (_TAPER * count))) ** 2
+        taper *= taper[::-1]
+        power += np.abs(np.fft.rfft((uniform - uniform.mean()) * taper, count)) ** 2
+        weight += float(np.sum(taper**2))
+    return np.asarray(np.fft.rfftfreq(count, mean_step(time)), np.float64), power, weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,24 +69,14 @@ class Spectrum:
     def of(cls, time: Array, dtheta: Array, least: float = 0.0) -> Spectrum:
         """Return the spectrum of readings (n,), rad, at rising stamps (n,), s.
 
-        least: lower limit of the readings' white noise, rad. The powers of the pieces between pauses are added. Only
-        the outermost samples of a piece are tapered, because a chirp is fastest at its end.
+        least: lower limit of the readings' white noise, rad.
         """
-        count, step = len(time), mean_step(time)
-        power, weight = np.zeros(count // 2 + 1), 0.0
-        for part in pieces(time):
-            rows = part.stop - part.start
-            uniform = np.interp(np.linspace(time[part][0], time[part][-1], rows), time[part], dtheta[part])
-            taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(rows) + 0.5) / (_TAPER * count))) ** 2
-            taper *= taper[::-1]
-            power += np.abs(np.fft.rfft((uniform - uniform.mean()) * taper, count)) ** 2
-            weight += float(np.sum(taper**2))
+        frequency, power, weight = power_of(time, dtheta)
         density = np.convolve(power, np.full(5, 0.2), mode="same")
         of_white = _MEDIAN * weight  # the density of white noise of 1 rad
         rounding = least**2 * of_white
         floor = max(float(np.median(density[len(density) // 2 :])), rounding)
-        frequency = np.asarray(np.fft.rfftfreq(count, step)[1:], np.float64)
-        return cls(frequency, density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
+        return cls(frequency[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
 
     @property
     def band(self) -> tuple[float, float]:
@@ -77,8 +85,8 @@ class Spectrum:
         if not excited.any():
             return float(self.frequency[0]), float(self.frequency[-1])
         power = np.cumsum(excited)
-        low = int(np.searchsorted(power, _LOW_SHARE * power[-1]))
-        return float(self.frequency[low]), max(float(self.frequency[low]), self._upper_end(excited, _HIGH_SHARE))
+        low = int(np.searchsorted(power, _SHARE * power[-1]))
+        return float(self.frequency[low]), max(float(self.frequency[low]), self._upper_end(excited, 1.0 - _SHARE))
 
     @cached_property
     def _excited(self) -> Array:
@@ -103,7 +111,7 @@ class Spectrum:
         """
         begins = self.rises_beyond(self.main)
         power = self._excited * self.frequency**2
-        return begins if power[self.frequency > begins].sum() > _FELT_RIPPLE * power.sum() else np.inf
+        return begins if power[self.frequency > begins].sum() > GAIN_ERROR * power.sum() else np.inf
 
     @property
     def main(self) -> float:

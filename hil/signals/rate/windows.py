@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion, beyond_noise
+from hil.signals.constants import ENOUGH, GAIN_ERROR, ROUNDING, SPREAD
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.rate.low_pass import STOPPED, LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, widest
@@ -20,13 +21,11 @@ from hil.signals.stamps import mean_step
 
 Array = NDArray[np.float64]
 
-_GAIN_ERROR = 3e-4  # of rate and acceleration, at the upper end of the band
 _NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
-RATE_ACCURACY = 0.5 * (_GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
+RATE_ACCURACY = 0.5 * (GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
 _HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
 _UNSEEN = 0.5  # of that, where it follows from the motion: the tests of the fit see 2 % of the residuals' power
 _FELT = 0.05  # of the torque's own noise, that smoothing may take off the torque of an inertia
-_KNOWN = 3e-4  # of the torque's deviation, to which the rate is accurate: less noise than this is not looked for
 _FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
@@ -35,7 +34,6 @@ _WIDER = (1, 3)  # samples more on each side of them than on each side of that o
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 _SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
-_LOOKED = 1 << 18  # samples that the noise of the deflection is held against the torque of
 _NARROWER = 0.8  # of a window, the next that is tried
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 
@@ -139,7 +137,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     noise.
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
-    rounding = count / float(np.sqrt(12.0))
+    rounding = ROUNDING * count
     # counts round in step with slow motion: above, their noise is then less than below, or lines
     spectrum = Spectrum.of(time, dtheta, rounding)
     band, floor = spectrum.band, spectrum.noise
@@ -149,7 +147,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     acceleration = local_polynomial(time, dtheta, curvature, 2)
     # a window across a long gap has no slope, and stamps that are alike no noise
     known = np.isfinite(rate) & np.isfinite(left) & np.isfinite(acceleration)
-    some = np.flatnonzero(known)[:_LOOKED]
+    some = np.flatnonzero(known)[:ENOUGH]
     seen = Motion(time[some], dtheta[some], rate[some], acceleration[some], np.zeros(len(some)))
     of_torque = _own_noise(seen, torque[some], cell)
     hidden = _hidden(seen, torque[some], of_torque)
@@ -163,17 +161,17 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
         narrowed(slope, step, of_deflection, hidden),
     )
-    first = time[:_LOOKED], dtheta[:_LOOKED]
+    first = time[:ENOUGH], dtheta[:ENOUGH]
     slope = best_of(slope, *first, of_deflection)
     curvature = best_of(curvature, *first, of_deflection, order=2)
     found = Window(
         slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, _UNSEEN * hidden
     )
     noisy = disturbs(read, found.of_deflection, found.of_deflection * _amplified(slope, step))
-    following = None if noisy else _following(found, *first, torque[:_LOOKED], of_torque)
+    following = None if noisy else _following(found, *first, torque[:ENOUGH], of_torque)
     if following is None and not noisy and cell is not None:
         # torque readings so far apart cannot pass the low-pass that the deflection would
-        following = _jumping(found, *first, torque[:_LOOKED], of_torque)
+        following = _jumping(found, *first, torque[:ENOUGH], of_torque)
     ripple = np.inf if cell else min(spectrum.ripple_begins, _ripple_of_torque(time, torque, spectrum.main))
     if following is not None and np.isinf(ripple):
         return following
@@ -200,7 +198,7 @@ def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
     steps = np.diff(time)
     if steps.max() > 1.5 * float(np.median(steps)):
         return np.inf
-    return Spectrum.of(time, torque, _KNOWN * float(np.std(torque))).rises_beyond(main)
+    return Spectrum.of(time, torque, GAIN_ERROR * float(np.std(torque))).rises_beyond(main)
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -325,7 +323,7 @@ def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
         own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
     else:
         own = noise_beside_any_shape(cell, motion)
-    return max(own, _KNOWN * float(np.std(torque)))
+    return max(own, GAIN_ERROR * float(np.std(torque)))
 
 
 def _noise_of(time: Array, values: Array) -> Array:
@@ -333,7 +331,7 @@ def _noise_of(time: Array, values: Array) -> Array:
     standard deviation.
     """
     left = np.abs(values - local_polynomial(time, values, _NARROWEST, 0))
-    return np.asarray(left * (1.4826 / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
+    return np.asarray(left * (SPREAD / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
 
 
 def _amplified(half: int, step: float, order: int = 1) -> float:
@@ -349,7 +347,7 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
     """
     cycles = highest * mean_step(time)
     most = min(_WIDEST, (len(time) - 1) // _PARTS)
-    slope, curvature = (widest(order, cycles, most, _GAIN_ERROR) for order in (1, 2))
+    slope, curvature = (widest(order, cycles, most, GAIN_ERROR) for order in (1, 2))
     return slope, min(slope, curvature)
 
 

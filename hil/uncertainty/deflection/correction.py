@@ -14,15 +14,16 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import FEW_COUNTS
 from hil.uncertainty.deflection.fitted import Fitted, sampled
 from hil.uncertainty.deflection.instruments import by_command
 from hil.uncertainty.deflection.rounding import rounded_at_rest
 from hil.uncertainty.deflection.simulation import is_in_step, simulated_change
+from hil.uncertainty.scores import SHORTEST
 
 Array = NDArray[np.float64]
 
-_FEWEST: Final = 400  # samples, below which nothing is corrected
 _NOTHING: Final = 2e-5  # of the power of deflection and rate, below which their errors are not looked at
 _WEAK: Final = 0.25  # of the information without instruments, below which they are too weak
 
@@ -64,7 +65,7 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     sound = window.sound(sampled(part.motion).time)[part.motion.whole[1]] & part.used
     rounded = rounded_at_rest(part, sound)
     found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, rounded, nothing)
-    if np.count_nonzero(sound) < _FEWEST or not _disturbed(part):
+    if np.count_nonzero(sound) < FEWEST * SHORTEST or not _disturbed(part):
         return found
     simulated, spread = simulated_change(part, sound)
     if counts < FEW_COUNTS or (window.count and is_in_step(part, sound, spread)):

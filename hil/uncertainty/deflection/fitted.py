@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
+from hil.signals.constants import CLIPPED, NORMAL, SPREAD, SURE
 from hil.signals.rate.windows import Window
 
 Array = NDArray[np.float64]
 
 _SAMPLES: Final = 40_000  # in a row, that are looked at
 _MATTERS: Final = 0.1  # of half an interval, from which a change is made
-_SURE: Final = 2.0  # times half its interval, beyond which a change is no chance
-_CLIPPED: Final = 2.5  # standard deviations (from the median) beyond which a residual counts no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +73,7 @@ class Fitted:
         """Return whether a change of the parameters is large enough to be made, and larger than its own error (Hausman
         1978).
         """
-        return self.matters(np.where(np.abs(change.values) > _SURE * change.half_width, change.values, 0.0))
+        return self.matters(np.where(np.abs(change.values) > SURE / NORMAL * change.half_width, change.values, 0.0))
 
 
 def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: Array) -> Array:
@@ -162,6 +161,6 @@ def clipped(left: Array) -> Array:
 
     left (n,): the residuals before clipping.
     """
-    limit = _CLIPPED * 1.4826 * float(np.median(np.abs(left)))
+    limit = CLIPPED * SPREAD * float(np.median(np.abs(left)))
     inside = float(np.mean(np.abs(left) < limit))
     return np.asarray(np.clip(left, -limit, limit) / max(0.5, inside))

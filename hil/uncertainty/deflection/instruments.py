@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals.constants import BLOCKS, NORMAL
 from hil.signals.rate.windows import Window
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
 from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
 
-_DELAYS: Final = (-1, 0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the filter from command to motion, in eighths of a period
-_BLOCKS: Final = 32  # in time, of which the error of a change is estimated
-_NORMAL: Final = 1.959964
+_DELAYS: Final = (-1, 0, 1, *(part * 2**octave for octave in range(4) for part in (2, 3)))
+"""The delays of the filter from command to motion, in eighths of a period: two an octave."""
 
 
 def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] | None:
@@ -42,9 +42,9 @@ def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] |
     at = list(part.decisive)
     less_certain = np.diag(across @ (z.T @ z) @ across.T)[at] / np.maximum(np.diag(own)[at], 1e-300)
     each = (z @ across.T - x @ own) * residuals[:, None]
-    sums = np.add.reduceat(each, np.arange(_BLOCKS) * len(each) // _BLOCKS, axis=0)
-    error = np.sqrt(_BLOCKS * np.var(sums, axis=0, ddof=1))
-    change = Change(each.sum(axis=0) / sizes, _NORMAL * error / sizes)
+    sums = np.add.reduceat(each, np.arange(BLOCKS) * len(each) // BLOCKS, axis=0)
+    error = np.sqrt(BLOCKS * np.var(sums, axis=0, ddof=1))
+    change = Change(each.sum(axis=0) / sizes, NORMAL * error / sizes)
     return change, float(min(1.0, 1.0 / max(float(less_certain.max()), 1e-300)))
 
 

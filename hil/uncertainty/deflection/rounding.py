@@ -8,6 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from hil.signals.constants import NORMAL, ROUNDING
 from hil.uncertainty.deflection.fitted import Fitted, moved
 
 Array = NDArray[np.float64]
@@ -15,7 +16,6 @@ Array = NDArray[np.float64]
 _STILL: Final = 0.1  # of a count, by which readings behind a low-pass differ at most where the joint rests
 _WITHIN: Final = 0.25  # of a count, by which the torque of the model differs at most among like ones in a row
 _RESTS: Final = 10  # like readings in a row, from which it rests
-_NORMAL: Final = 1.959964
 
 
 def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
@@ -38,7 +38,7 @@ def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
             level = np.unique(np.abs(np.round(values[rows] / step)), return_inverse=True)[1]
             of_level = np.array([np.bincount(level, weights=one) for one in own])
             most = 0.5 * np.abs(of_level).sum(axis=1)
-            likely = _NORMAL / np.sqrt(12.0) * np.linalg.norm(of_level, axis=1)
+            likely = NORMAL * ROUNDING * np.linalg.norm(of_level, axis=1)
             found = np.hypot(found, step * np.minimum(most, likely))
     return found
 

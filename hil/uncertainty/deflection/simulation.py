@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals.constants import NORMAL, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
@@ -24,7 +25,6 @@ _PAIRS: Final = 4  # of simulated errors, of either sign
 _LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
 _WIDER: Final = 1.25  # of a window, the next wider one, whose rate beside a jerk is wrong by as much more
 _IN_STEP: Final = 2.5  # times their scatter in any other order, from which roundings go with the motion
-_NORMAL: Final = 1.959964
 
 
 def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
@@ -37,7 +37,7 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
     error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
-    return Change(change, np.hypot(_LEVEL * change, _NORMAL * error)), _scatter(added)
+    return Change(change, np.hypot(_LEVEL * change, NORMAL * error)), _scatter(added)
 
 
 def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
@@ -82,7 +82,7 @@ def _scatter(added: Array) -> Array:
 
     added: the result of `_added`.
     """
-    return np.asarray(_NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
+    return np.asarray(NORMAL * np.sqrt(np.mean((0.5 * (added[:, 0] - added[:, 1])) ** 2, axis=0)))
 
 
 def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float = 0.0) -> tuple[Motion, Motion]:
@@ -109,7 +109,7 @@ def _errors(motion: Motion, window: Window) -> Iterator[Array]:
         if part.stop - part.start > 2 * window.slope:
             fit = local_polynomial(motion.time[part], motion.dtheta[part], window.slope, 0)
             smooth[part] = np.where(np.isfinite(fit), fit, motion.dtheta[part])
-    beside = np.sqrt(max(0.0, window.of_deflection**2 - count**2 / 12.0))
+    beside = np.sqrt(max(0.0, window.of_deflection**2 - (ROUNDING * count) ** 2))
     for _ in range(_PAIRS):
         noise = beside * rng.standard_normal(len(motion))
         if count > 0.0:
