@@ -91,14 +91,14 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
     )
 
 
-def spikes(angle: Array) -> NDArray[np.bool_]:
-    """Return which readings (n,) of an angle, rad, are single wrong readings.
+def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of an angle, rad, at times (n,), s, are single wrong readings.
 
     A single wrong reading is far from the cubic through the two readings on each side. In a sharp motion the
     neighbours' readings are far from their cubics too, but not in the pattern that a single wrong reading causes.
     """
     wrong = np.zeros(len(angle), dtype=bool)
-    off, far = _far(angle)
+    off, far = _far(time, angle)
     if not far.size:
         return wrong
     far = far[(far >= 2) & (far < len(off) - 2)]
@@ -111,24 +111,44 @@ def spikes(angle: Array) -> NDArray[np.bool_]:
     return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
 
 
-def _far(angle: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far."""
+def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far.
+
+    The neighbours are taken as equally spaced, as rows are whose stamps are late. Where replies are lost, or where a
+    row was read late, a right reading lies on the cubic through its neighbours at their own times.
+    """
     if len(angle) < 2 * len(_CUBIC):
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
     least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
-    return off, np.flatnonzero(np.abs(off) > _ODD * max(SPREAD * float(np.median(np.abs(off))), least))
+    limit = _ODD * max(SPREAD * float(np.median(np.abs(off))), least)
+    far = np.flatnonzero(np.abs(off) > limit)
+    return off, far[~(np.abs(_off_in_time(time, angle, far + 2)) <= limit)]
 
 
-def bursts(angle: Array, torque: Array) -> NDArray[np.bool_]:
+def _off_in_time(time: Array, angle: Array, rows: NDArray[np.int64]) -> Array:
+    """Return the distances (k,) of the readings in these rows (k,) from the cubic through two readings on each side, at
+    their times (Lagrange); NaN or infinite where two of the times are equal.
+    """
+    beside = rows[:, None] + np.array([-2, -1, 1, 2])
+    apart = time[beside] - time[rows, None]
+    found = angle[rows].copy()
+    with np.errstate(all="ignore"):
+        for at in range(beside.shape[1]):
+            others = np.delete(apart, at, axis=1)
+            found -= angle[beside[:, at]] * np.prod(others / (others - apart[:, at, None]), axis=1)
+    return found
+
+
+def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     """Return which readings (n,) of an angle, rad, lie in a short burst of wrong ones: random, held or displaced.
 
-    torque (n,): N m. The angle jumps from the cubic through its neighbours, and the torque stays on its own, as it
-    would not if the joint had moved so.
+    time (n,): s. torque (n,): N m. The angle jumps from the cubic through its neighbours, and the torque stays on its
+    own, as it would not if the joint had moved so.
     """
     wrong = np.zeros(len(angle), dtype=bool)
     angle = unwrapped(angle, torque)[0] if len(angle) else angle
-    off, far = _far(angle)
+    off, far = _far(time, angle)
     groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BESIDE) + 1) if part.size]
     rows = [slice(int(part[0]) + 1, int(part[-1]) + 4) for part in groups]
     for part in rows:

@@ -142,7 +142,7 @@ def usable_rows(
     stuck, odd = np.zeros((2, len(time)), dtype=bool)
     finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
     stuck[finite] = frozen(time[finite], dtheta[finite], torque[finite])
-    odd[finite] = spikes(dtheta[finite]) | bursts(dtheta[finite], torque[finite])
+    odd[finite] = spikes(time[finite], dtheta[finite]) | bursts(time[finite], dtheta[finite], torque[finite])
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
     good &= ~stuck & ~odd
     kept = slice(None) if good.all() else good

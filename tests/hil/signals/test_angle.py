@@ -110,7 +110,7 @@ def test_single_wrong_readings_are_found_whatever_the_counts(size: float) -> Non
     read = 1e-4 * np.round(ANGLE / 1e-4)
     read[places] += size
 
-    assert np.array_equal(np.flatnonzero(spikes(read)), places)
+    assert np.array_equal(np.flatnonzero(spikes(TIME, read)), places)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,8 @@ def test_single_wrong_readings_are_found_whatever_the_counts(size: float) -> Non
 @pytest.mark.parametrize("count", [1e-9, 1e-3])
 def test_no_reading_of_a_sharp_held_or_noisy_motion_counts_as_wrong(angle: np.ndarray, count: float) -> None:
     read = count * np.round(angle / count)
-    assert not spikes(read).any()
-    assert not bursts(read, 0.3 * angle + 0.01 * np.gradient(angle)).any()
+    assert not spikes(TIME, read).any()
+    assert not bursts(TIME, read, 0.3 * angle + 0.01 * np.gradient(angle)).any()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -138,7 +138,17 @@ def test_no_reading_of_a_chirp_counts_as_wrong_where_stamps_jitter_and_replies_a
     time = np.arange(0.0, 20.0, 0.002)[rng.random(10_000) > 0.05]
     read_at = time + rng.uniform(-1e-4, 1e-4, len(time))
 
-    assert not spikes(0.35 * np.sin(2.0 * np.pi * 0.1 * np.expm1(read_at * 0.25) / 0.25)).any()
+    assert not spikes(time, 0.35 * np.sin(2.0 * np.pi * 0.1 * np.expm1(read_at * 0.25) / 0.25)).any()
+
+
+@pytest.mark.parametrize("late", [0.0, 0.0015])
+def test_no_reading_counts_as_wrong_after_a_lost_reply_or_where_a_row_was_read_late(late: float) -> None:
+    time = np.delete(TIME, [2061, 2062, 3301])
+    time[[1500, 2999]] += late
+    angle = 0.3 * np.sin(2.0 * np.pi * 1.0 * time) + 0.02 * np.sin(2.0 * np.pi * 4.0 * time)
+
+    assert not spikes(time, angle).any()
+    assert not bursts(time, angle, 0.3 * np.sin(2.0 * np.pi * time + 0.8)).any()  # at its peak there
 
 
 @pytest.mark.parametrize("kind", ["random", "held", "zero", "displaced"])
@@ -149,6 +159,6 @@ def test_a_short_burst_of_wrong_readings_is_found_as_the_torque_does_not_follow_
         part = slice(start, start + rows)
         wrong = {"random": rng.uniform(-1.0, 1.0, rows), "held": read[start - 1], "zero": 0.0}
         read[part] = wrong.get(kind, read[part] + 0.4)
-        assert bursts(read, torque)[start + 1 : start + rows].all()
-    assert np.count_nonzero(bursts(read, torque)) < 80
-    assert not bursts(read, 0.3 * read).any()
+        assert bursts(TIME, read, torque)[start + 1 : start + rows].all()
+    assert np.count_nonzero(bursts(TIME, read, torque)) < 80
+    assert not bursts(TIME, read, 0.3 * read).any()
