@@ -26,7 +26,7 @@ from hil.api.analysis import identify
 from hil.api.runs import record
 from hil.errors import Untrustworthy, WrongUse
 from hil.exchange.importer import Column, import_table
-from hil.exchange.wanted.join import Join
+from hil.exchange.join import Join
 from hil.recording.reader import Recording
 
 RATE, SECONDS, LOST, MOST = 1000.0, 5.0, 0.02, 0.05

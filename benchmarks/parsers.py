@@ -45,7 +45,7 @@ from hil.calibration.points import read_points
 from hil.campaign import plan
 from hil.campaign.journal import NAME, Journal
 from hil.errors import Untrustworthy, WrongUse
-from hil.exchange import bags, plotjuggler
+from hil.exchange import bags
 from hil.exchange.coupling import of_result
 from hil.exchange.exporter import export
 from hil.exchange.readers import formats
@@ -190,8 +190,6 @@ def _file(name: str, work: Callable[[Path], object]) -> Callable[[bytes], object
 
 def _table(path: Path) -> None:
     titles = rows.titles(path)
-    with declining():
-        plotjuggler.renamed(path, titles, None, "finger")
     rows.read(path, titles, range(min(3, len(titles))), [])
 
 
@@ -280,15 +278,10 @@ PARSERS: dict[str, Parser] = {
     "faults": Parser(
         _file("faults.toml", fault_file.load_plan), (b'[[fault]]\nkind = "drop"\nat = 0.2\n',), is_text=True
     ),
-    "csv": Parser(_file("t.csv", _table), (_csv_text(), b"a;b\n1,5;2\n", "t\n1".encode("utf-16")), is_text=True),
+    "csv": Parser(_file("t.csv", _table), (_csv_text(), b"a;b\n1,5;2\n", "t;q\n1;2\n".encode("utf-16")), is_text=True),
     "csv.gz": Parser(_file("t.csv.gz", _table), (gzip.compress(_csv_text(), mtime=0),)),
-    "plotjuggler": Parser(
-        _file("pj.csv", _table),
-        (b"__time,/joint_states/finger/position,/joint_states/finger/effort\n1.0,2.0,3.0\n",),
-        is_text=True,
-    ),
     "mat": Parser(
-        _file("t.mat", lambda path: formats.columns(path, None, None)),
+        _file("t.mat", lambda path: formats.columns(path, "matlab")),
         (
             _bytes_of(lambda path: savemat(path, {"t": _T, "s": {"q": _T}}), "seed.mat"),
             _bytes_of(lambda path: savemat(path, {"t": _T}, do_compression=True), "packed.mat"),

@@ -115,7 +115,7 @@ def import_data(
     dtheta_scale: Annotated[float, typer.Option(help="Multiply the deflection or the motor position.")] = 1.0,
     dtheta_dot_scale: Annotated[float, typer.Option(help="Multiply the rate.")] = 1.0,
     command_scale: Annotated[float, typer.Option(help="Multiply the set-point.")] = 1.0,
-    topic: Annotated[str | None, typer.Option(help="A bag's or PlotJuggler's topic; a workbook's sheet.")] = None,
+    topic: Annotated[str | None, typer.Option(help="A bag's topic; a workbook's sheet.")] = None,
     joint: Annotated[str | None, typer.Option(help="The joint's name in the joint states.")] = None,
     where: Annotated[list[str] | None, typer.Option(metavar="FILTER", help="Rows to keep: 'nr==100'.")] = None,
     first: Annotated[str | None, typer.Option("--from", help="First time, as the file has it: 12.5, 12:30:00.")] = None,
@@ -128,8 +128,8 @@ def import_data(
 ) -> None:
     """Make a recording from a table of another program, or from a file of hil export."""
     from hil.exchange.importer import import_table
+    from hil.exchange.join import Join
     from hil.exchange.row_filter import RowFilter
-    from hil.exchange.wanted.join import Join
     from hil.recording.output import check_output, check_recording_name, check_unfinished, recording_path
     from hil.stand.file import load
 

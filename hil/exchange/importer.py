@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
+from hil.exchange import signs, stamps
 from hil.exchange.columns import Table, open_table
-from hil.exchange.command import MODES, check_command, dimension_of_command, held
 from hil.exchange.headings import heading, listed
-from hil.exchange.mending import clock, signs
+from hil.exchange.join import Join, joined, side
 from hil.exchange.row_filter import RowFilter
-from hil.exchange.wanted.chosen import DIMENSION, Column, dimensions_of, give, units_of, with_sums
-from hil.exchange.wanted.join import Join, Part, joined, side
+from hil.exchange.wanted import MODES, Column, Part, dimension_of_command, give, parts_of
 from hil.recording.channels import CHANNELS
 from hil.recording.interval import rows_between
 from hil.recording.writer import Header, write
@@ -31,12 +30,12 @@ from hil.stand.transmission import Transmission, Zero
 __all__ = ["Column", "Imported", "import_table"]
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 _COARSE = 0.01  # share of rows with the stamp of the row before, and other readings, from which the clock is coarse
 _PAIRS = (("torque", "motor_torque"), ("dtheta", "motor_position"))
 _WHOLE = 0.05  # of a turn, within which the range of an encoder is one
-_DAMAGED = 0.01  # share of the rows that may have no time
-_SAME_SHAPE = 0.9  # share of the deflection's power that its rate must explain before their units are compared
+_SAME = 1e-12  # of the power, up to which two columns are one
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +43,8 @@ class Imported:
     """The result of an import.
 
     samples: number of rows. duration: s. units: the unit that was used for each channel. ranges: ranges of torque and
-    deflection, in words. diagnostics: warnings about the size of torque and deflection.
+    deflection, in words. diagnostics: warnings about the table, and about the size of torque and deflection. said: how
+    a second file was joined.
     """
 
     samples: int
@@ -53,6 +53,18 @@ class Imported:
     ranges: str
     diagnostics: tuple[Diagnostic, ...]
     said: str = ""
+
+
+class _Read(NamedTuple):
+    """The channels of a table in SI, (n,) each, in the order of time; the numbers of their rows (n,); the unit of each
+    channel's column, and the factor of the unit to SI; and what was mended.
+    """
+
+    channels: dict[str, Array]
+    rows: Rows
+    units: dict[str, str]
+    factors: dict[str, float]
+    mended: list[str]
 
 
 @np.errstate(all="ignore")  # the numbers of a table may be anything; those that are not finite are missing
@@ -79,27 +91,30 @@ def import_table(
     as in `rows_between`. force: replace an existing recording. Raises WrongUse for a column without a known unit, for
     readings that the stand's limits make impossible, and for a wrong row.
     """
-    said = ""
     asked = set() if join else {column.name for column in columns.values()} | {one.column for one in where}
-    table = open_table(source, topic=topic, joint=joint, asked=asked)
+    table, said = open_table(source, topic=topic, joint=joint, asked=asked), ""
     columns = _with_joint_state(table, columns)
     if columns:
         _check_channels(columns, stand)
     if join is None or not columns:
-        channels, rows, used, mended = _channels(table, columns, where)
+        found = _channels(table, columns, where)
     else:
-        (channels, rows, used, mended), said = _of_two(table, join, columns, where)
-    _refuse_unsigned(source, channels, columns, used)
+        found, said = _of_two(table, join, columns, where)
+    _refuse_unsigned(source, found, columns)
+    channels, rows = found.channels, found.rows
     if between != (None, None):
-        kept = rows_between(source, channels["time"], units.factor("time", used.get("time", "s")), *between)
+        kept = rows_between(source, channels["time"], found.factors.get("time", 1.0), *between)
         channels, rows = {name: values[kept] for name, values in channels.items()}, rows[kept]
     if columns:
-        _complete(source, channels, stand)
+        _at_the_joint(channels, stand)
+    mode = {}
     if "command" in columns:
-        check_command(source, columns["command"].name, channels)
-    swings = _swings(channels, used)
-    diagnostics = _plausible(source, swings, stand)
-    mode = {"mode": MODES[dimension_of_command("", used["command"])]} if "command" in columns else {}
+        _check_command(source, columns["command"].name, channels)
+        mode = {"mode": MODES[dimension_of_command("", found.units["command"])]}
+    swings = [
+        Swing.of(channels[joint], found.factors.get(joint) or found.factors.get(motor, 1.0)) for joint, motor in _PAIRS
+    ]
+    diagnostics = [*map(_mended, found.mended), *_plausible(source, swings[0], swings[1], stand)]
     header = Header(
         profile={"kind": "imported", "source": source.name, "where": " and ".join(str(item) for item in where)} | mode,
         stand_toml="" if stand is None else stand.text,
@@ -107,18 +122,13 @@ def import_table(
     )
     write(target, header, channels, force=force)
     duration = float(channels["time"][-1] - channels["time"][0])
-    return Imported(len(rows), duration, used, in_words(*swings), (*mended, *diagnostics), said)
+    return Imported(len(rows), duration, found.units, in_words(swings[0], swings[1]), tuple(diagnostics), said)
 
 
-class _Read(NamedTuple):
-    """The channels of a table in SI, (n,) each, in the order of time; the numbers of their rows (n,); the units of the
-    columns; and what was mended.
-    """
-
-    channels: dict[str, Array]
-    rows: NDArray[np.int64]
-    used: dict[str, str]
-    mended: list[Diagnostic]
+def _mended(what: str) -> Diagnostic:
+    return Diagnostic(
+        "mended-table", f"{what}. Kc and Bc come from the other rows, or from the mended ones; check the logger"
+    )
 
 
 def _of_two(first: Table, join: Join, columns: Mapping[str, Column], where: Sequence[RowFilter]) -> tuple[_Read, str]:
@@ -132,10 +142,9 @@ def _of_two(first: Table, join: Join, columns: Mapping[str, Column], where: Sequ
         filters = [one for one in where if table.has(one.column) and (table is first or not first.has(one.column))]
         reads.append(_channels(table, own | {"time": replace(columns["time"], name=time)}, filters, one_clock=True))
     one, two = reads
-    files = Part(first.source, one.channels), Part(second.source, two.channels)
-    channels, said = joined(*files, shared=join.shared)
-    used = one.used | two.used | {"time": "s"}
-    return _Read(channels, np.arange(len(channels["time"])), used, [*one.mended, *two.mended]), said
+    channels, said = joined((first.source, one.channels), (second.source, two.channels), shared=join.shared)
+    used, factors = two.units | one.units, two.factors | one.factors
+    return _Read(channels, np.arange(len(channels["time"])), used, factors, [*one.mended, *two.mended]), said
 
 
 def _channels(
@@ -144,97 +153,77 @@ def _channels(
     """Return the channels of a table. columns: {} for an export of hil. one_clock: whether a clock that was set is
     refused.
     """
-    table, columns = with_sums(table, columns)
-    names = {channel: column.name for channel, column in columns.items()} or _own(table)
-    titles, source = {name: table.titles[table.place(one.name)] for name, one in columns.items()}, table.source
-    dimensions, understood = dimensions_of(titles, columns), units_of(titles, columns)
-    numbers, rows = _read(table, names, where)
-    numbers, rows, repeated = _once(list(names).index("time"), numbers, rows)
-    channels = dict(zip(names, numbers, strict=True))
-    _check_readings(source, channels, columns)
-    used = _all_stated(source, channels, columns, understood)
-    for channel, unit in used.items():
-        column = columns[channel]
-        read = channels[channel] if column.code is None else signs.decoded(channels[channel], column.code)
-        channels[channel] = read * (column.scale * units.factor(dimensions[channel], unit))
-    seconds = units.factor("time", used.get("time", "s"))
-    channels, rows, of_time = _timed(source, channels, rows, seconds, one_clock=one_clock)
-    return _Read(channels, rows, used, [*map(_mended, table.lost), *repeated, *of_time])
+    known = {channel: parts_of(table, channel, column) for channel, column in columns.items()}
+    parts = {channel: found for channel, (_, found) in known.items()} or _own(table)
+    titles = list(dict.fromkeys(part.title for found in parts.values() for part in found))
+    numbers, rows = table.read(titles, where)
+    if "command" in columns:
+        of_command = titles.index(parts["command"][0].title)
+        numbers[of_command] = _held(numbers[of_command])
+    numbers, rows, twice = _once(titles.index(parts["time"][0].title), numbers, rows)
+    raw = dict(zip(titles, numbers, strict=True))
+    channels, used, factors = {name: raw[found[0].title] for name, found in parts.items()}, dict[str, str](), {}
+    _check_numbers(table.source, known, raw)
+    for channel, (dimension, found) in known.items():
+        si, code = units.COMMON[dimension][0], columns[channel].code or "none"
+        used[channel] = found[0].unit or si if len(found) == 1 else si
+        factors[channel] = units.factor(dimension, used[channel])
+        weights = [part.factor * units.factor(dimension, part.unit or si) for part in found]
+        channels[channel] = weights @ np.stack([signs.decoded(raw[part.title], code) for part in found])
+    if columns:
+        channels, rows = _with_readings(table.source, channels, rows)
+    channels, rows, mended = stamps.mended(table.source, channels, rows, factors.get("time", 1.0), one_clock=one_clock)
+    return _Read(channels, rows, used, factors, [*table.lost, *twice, *mended])
 
 
-def _read(table: Table, names: Mapping[str, str], where: Sequence[RowFilter]) -> tuple[Array, NDArray[np.int64]]:
-    """Return each channel (channels, n) and the row numbers (n,). names: the column of each channel."""
-    numbers, rows = table.read(list(names.values()), where)
-    if "command" in names:
-        numbers[list(names).index("command")] = held(numbers[list(names).index("command")])
-    return _with_readings(table.source, list(names), numbers, rows) if table.joins_topics else (numbers, rows)
+def _own(table: Table) -> dict[str, list[Part]]:
+    """Return the column of each channel in a file that `hil export` wrote; a .mat file has the channels' names as
+    headings.
+    """
+    for found in ({name: heading(name) for name in CHANNELS}, {name: name for name in CHANNELS}):
+        if set(found.values()) <= set(table.titles):  # the rows are numbered anew
+            return {name: [Part(title, None, 1.0, title)] for name, title in found.items() if name != "seq"}
+    raise WrongUse(
+        f"name the columns of {table.source} with --time, --torque and --dtheta; it has {listed(table.titles)}"
+    )
 
 
-def _once(time: int, numbers: Array, rows: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64], list[Diagnostic]]:
+def _held(command: Array) -> Array:
+    """Return set-points (n,) in which every empty cell (NaN) has the value of the row before."""
+    good = np.isfinite(command)
+    last = np.maximum.accumulate(np.where(good, np.arange(len(command)), -1))
+    return np.where(last >= 0, command[last], np.nan)
+
+
+def _once(time: int, numbers: Array, rows: Rows) -> tuple[Array, Rows, list[str]]:
     """Remove rows that a logger wrote twice; otherwise they would be used as samples at different times.
 
     If a coarse clock gives many rows the same time, rows with equal readings are not removed: a joint at rest has equal
     readings.
     """
     kept = np.concatenate([[True], (numbers[:, 1:] != numbers[:, :-1]).any(axis=0)])
-    twice, stamps = len(rows) - np.count_nonzero(kept), numbers[time, kept]
-    if not twice or np.count_nonzero(stamps[1:] == stamps[:-1]) > _COARSE * len(rows):
+    twice, times = len(rows) - np.count_nonzero(kept), numbers[time, kept]
+    if not twice or np.count_nonzero(times[1:] == times[:-1]) > _COARSE * len(rows):
         return numbers, rows, []
-    message = f"{twice} of {len(rows)} rows repeat the row before and are left out"
-    return numbers[:, kept], rows[kept], [_mended(message)]
+    return numbers[:, kept], rows[kept], [f"{twice} of {len(rows)} rows repeat the row before and are left out"]
 
 
-def _all_stated(
-    source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], stated: Mapping[str, str | None]
-) -> dict[str, str]:
-    """Return the unit of each channel. Raises WrongUse, with the ranges of the values, if the unit of a column is
-    unknown.
-    """
-    missing = [
-        f"{columns[channel].name!r} ({_raw_range(channels[channel])}): {give(channel)}"
-        for channel, unit in stated.items()
-        if unit is None
-    ]
+def _check_numbers(source: Path, known: Mapping[str, tuple[str, list[Part]]], raw: Mapping[str, Array]) -> None:
+    """Raise WrongUse if a column contains no number, or if its unit is unknown, with the range of its values."""
+    missing = []
+    for channel, (dimension, found) in known.items():
+        for part in found:
+            if not np.isfinite(raw[part.title]).any():
+                raise WrongUse(f"{source}: column {part.named!r} holds no number: name another, or check --where")
+            if part.unit is None:
+                how = f"write it behind the name, such as {part.named}[{units.COMMON[dimension][0]}], or "
+                how = "" if len(found) == 1 else how
+                missing.append(f"{part.named!r} ({_raw_range(raw[part.title])}): {how}{give(channel, dimension)}")
     if missing:
         raise WrongUse(
             f"{source} does not say the unit of {'; of '.join(missing)}. Or write the units in the headings, as in "
             "'torque [mN*m]': a wrong one makes Kc wrong by its factor"
         )
-    return {channel: unit for channel, unit in stated.items() if unit is not None}
-
-
-def _refuse_unsigned(
-    source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column], used: Mapping[str, str]
-) -> None:
-    """Raise WrongUse, with the code that decodes them, for numbers without their sign.
-
-    An encoder that passes a whole turn needs no code: identification removes such jumps.
-    """
-    pair = [next((one for one in pair if one in columns), "") for pair in _PAIRS]
-    if "" in pair:
-        return
-    factors = [columns[one].scale * units.factor(DIMENSION[one], used[one]) for one in pair]
-    raw = [channels[one] / factor for one, factor in zip(pair, factors, strict=True)]
-    for channel, option, values, factor, code in zip(
-        pair, ("torque", "dtheta"), raw, factors, signs.recognised(raw[0], raw[1]), strict=True
-    ):
-        turns = signs.size_of(code) * abs(factor) / math.tau if code.startswith("wrap") else 0.0
-        is_turn = option == "dtheta" and math.isclose(turns, 1.0, rel_tol=_WHOLE)
-        if code == "none" or is_turn or columns[channel].code is not None:
-            continue
-        raise WrongUse(
-            f"{source}: the numbers of {columns[channel].name!r} lack their sign. They are {_raw_range(values)}, "
-            f"and jump where the {'torque' if option == 'torque' else 'angle'} passes zero, as those of a register do "
-            "that was read without a sign, so that neither Kc nor Bc can come from them. Decode them with "
-            f"--{option}-code {code}"
-        )
-
-
-def _check_readings(source: Path, channels: Mapping[str, Array], columns: Mapping[str, Column]) -> None:
-    """Raise WrongUse if a named column contains no number."""
-    for channel, column in columns.items():
-        if not np.isfinite(channels[channel]).any():
-            raise WrongUse(f"{source}: column {column.name!r} holds no number: name another, or check --where")
 
 
 def _raw_range(values: Array) -> str:
@@ -242,21 +231,45 @@ def _raw_range(values: Array) -> str:
     return f"{good.min():.4g} to {good.max():.4g}" if good.size else "no number"
 
 
-def _swings(channels: Mapping[str, Array], used: Mapping[str, str]) -> tuple[Swing, Swing]:
-    """Return the smallest and largest value of torque and deflection, with their units."""
-    found = []
-    for joint, motor in _PAIRS:
-        unit = used.get(joint) or used.get(motor)
-        factor = 1.0 if unit is None else units.factor(DIMENSION[joint], unit)
-        found.append(Swing.of(channels[joint], factor))
-    return found[0], found[1]
+def _with_readings(source: Path, channels: dict[str, Array], rows: Rows) -> tuple[dict[str, Array], Rows]:
+    """Remove rows without a reading, which a table of several topics has. Raises WrongUse if no row has both torque and
+    deflection.
+    """
+    read = np.isfinite([values for name, values in channels.items() if name not in {"time", "command"}])
+    if not read.all(axis=0).any():
+        raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
+    kept = read.any(axis=0)
+    return {name: values[kept] for name, values in channels.items()}, rows[kept]
 
 
-def _plausible(source: Path, swings: tuple[Swing, Swing], stand: Stand | None) -> list[Diagnostic]:
+def _refuse_unsigned(source: Path, found: _Read, columns: Mapping[str, Column]) -> None:
+    """Raise WrongUse, with the code that decodes them, for numbers without their sign.
+
+    An encoder that passes a whole turn needs no code: identification removes such jumps.
+    """
+    pair = [next((one for one in pair if one in columns), "") for pair in _PAIRS]
+    if "" in pair:
+        return
+    sizes = [columns[one].scale * found.factors[one] for one in pair]
+    raw = [found.channels[one] / size for one, size in zip(pair, sizes, strict=True)]
+    codes = signs.recognised(raw[0], raw[1])
+    for channel, option, values, size, code in zip(pair, ("torque", "dtheta"), raw, sizes, codes, strict=True):
+        turns = signs.size_of(code) * abs(size) / math.tau if code.startswith("wrap") else 0.0
+        is_turn = option == "dtheta" and math.isclose(turns, 1.0, rel_tol=_WHOLE)
+        if code != "none" and not is_turn and columns[channel].code is None:
+            what = "torque" if option == "torque" else "angle"
+            raise WrongUse(
+                f"{source}: the numbers of {columns[channel].name!r} lack their sign. They are {_raw_range(values)}, "
+                f"and jump where the {what} passes zero, as those of a register do that was read without a sign, so "
+                f"that neither Kc nor Bc can come from them. Decode them with --{option}-code {code}"
+            )
+
+
+def _plausible(source: Path, torque: Swing, dtheta: Swing, stand: Stand | None) -> list[Diagnostic]:
     """Return warnings about implausible sizes of torque and deflection. Raises WrongUse if a unit must be wrong."""
     limits = None if stand is None else stand.limits
-    found = implausible(*swings, limits)
-    if limits is not None and found and excess(*swings, limits) > GROSS:
+    found = implausible(torque, dtheta, limits)
+    if limits is not None and found and excess(torque, dtheta, limits) > GROSS:
         raise WrongUse(f"{source}: {found[0].message}")
     return [replace(one, is_error=False) for one in found]  # an error of a result, which an import has not
 
@@ -273,28 +286,6 @@ def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[st
     if not {"dtheta", "motor_position"} & set(columns):
         added["dtheta"] = Column("position")
     return {**added, **columns}
-
-
-def _with_readings(
-    source: Path, names: Sequence[str], numbers: Array, rows: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64]]:
-    """Remove rows without a new reading. Raises WrongUse if no row has both torque and deflection."""
-    read = np.isfinite(numbers[[at for at, name in enumerate(names) if name not in {"time", "command"}]])
-    if not read.all(axis=0).any():
-        raise WrongUse(f"{source}: no row has both torque and deflection: export them from one topic, or resample them")
-    return numbers[:, read.any(axis=0)], rows[read.any(axis=0)]
-
-
-def _own(table: Table) -> dict[str, str]:
-    """Return the heading of each channel in a file that `hil export` wrote; a .mat file has the channels' names as
-    headings.
-    """
-    for found in ({name: heading(name) for name in CHANNELS}, {name: name for name in CHANNELS}):
-        if set(found.values()) <= set(table.titles):
-            return {name: title for name, title in found.items() if name != "seq"}  # the rows are numbered anew
-    raise WrongUse(
-        f"name the columns of {table.source} with --time, --torque and --dtheta; it has {listed(table.titles)}"
-    )
 
 
 def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
@@ -315,52 +306,7 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
             raise WrongUse(f"{channel} cannot be scaled by {column.scale:g}: give a number that is not zero")
 
 
-def _timed(
-    source: Path, channels: Mapping[str, Array], rows: NDArray[np.int64], unit: float, *, one_clock: bool
-) -> tuple[dict[str, Array], NDArray[np.int64], list[Diagnostic]]:
-    """Return the channels and the numbers of their rows in the order of time, with diagnostics of what was mended.
-
-    unit: of the time, s. one_clock: whether times may not go back. Raises WrongUse for times that are missing in many
-    rows, or that go back again and again.
-    """
-    known, found = np.isfinite(channels["time"]), list[Diagnostic]()
-    bad = np.flatnonzero(~known)
-    if bad.size > _DAMAGED * len(known):
-        raise WrongUse(
-            f"{source}, row {rows[bad[0]]}: the time is not a number, in {bad.size} of {len(known)} rows: delete these "
-            "rows, or fill in their times; a gap does no harm"
-        )
-    if bad.size:
-        found.append(_mended(f"{bad.size} of {len(known)} rows have no time and are left out"))
-    time, span = clock.unwrapped(channels["time"][known], unit)
-    if span:
-        found.append(_mended(f"the time begins anew after {span:.7g} s, the range of its counter, and is continued"))
-    order = clock.order(time)
-    if (wrong := clock.astray(time[order])).any() and np.count_nonzero(wrong) <= _DAMAGED * len(order):
-        found.append(_mended(f"{np.count_nonzero(wrong)} of {len(order)} rows have a wrong time and are left out"))
-        order = order[~wrong]
-    if moved := np.count_nonzero(np.diff(order) < 0):
-        found.append(
-            _mended(f"rows are out of order, in {moved} places of {len(order)}; they are sorted by their times")
-        )
-    time, pieces = clock.continued(source, time[order], rows[known][order])
-    if pieces and one_clock:
-        raise WrongUse(f"{source}: {pieces}. No second file can be joined to such times: choose one part with --where")
-    if pieces:
-        found.append(_mended(pieces))
-    if not found:
-        return dict(channels), rows, []
-    sorted_channels = {name: values[known][order] for name, values in channels.items()}
-    return sorted_channels | {"time": time}, rows[known][order], found
-
-
-def _mended(what: str) -> Diagnostic:
-    return Diagnostic(
-        "mended-table", f"{what}. Kc and Bc come from the other rows, or from the mended ones; check the logger"
-    )
-
-
-def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> None:
+def _at_the_joint(channels: dict[str, Array], stand: Stand | None) -> None:
     """Shift the time so that it begins at zero, and convert motor channels to the joint."""
     channels["time"] = channels["time"] - channels["time"][0]
     way = None if stand is None else Transmission.of(stand.stand)
@@ -370,31 +316,23 @@ def _complete(source: Path, channels: dict[str, Array], stand: Stand | None) -> 
         position = channels["motor_position"]
         rest = float(position[np.isfinite(position)][:1].sum())
         channels["dtheta"] = way.deflection(position, 0.0, Zero(rest))
-    if "dtheta_dot" in channels:
-        _check_rate(source, channels["time"], channels["dtheta"], channels["dtheta_dot"])
 
 
-def _check_rate(source: Path, time: Array, dtheta: Array, rate: Array) -> None:
-    """Raise WrongUse if the rate's integral has the shape of the deflection but another size: then a unit or sign is
-    wrong.
+def _check_command(source: Path, name: str, channels: Mapping[str, Array]) -> None:
+    """Raise WrongUse for a command that never changes, or that equals the measured torque or deflection.
 
-    Both are compared without their linear trend, so that noise and a coarse clock have little effect. If their shapes
-    differ, nothing is checked.
+    A measured channel cannot be an instrument, because an instrument must not contain the errors of the readings.
     """
-    good = np.isfinite(dtheta) & np.isfinite(rate)
-    time, dtheta, rate = time[good], dtheta[good], rate[good]
-    if len(time) < 3 or np.ptp(time) == 0.0:
-        return
-    integral = np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))))
-    line = np.column_stack([np.ones_like(time), (time - time.mean()) / np.ptp(time)])
-    both = np.column_stack([dtheta, integral])
-    moved, implied = (both - line @ np.linalg.lstsq(line, both, rcond=None)[0]).T
-    product, power = float(moved @ implied), float(implied @ implied) * float(moved @ moved)
-    if power == 0.0 or product**2 < _SAME_SHAPE * power:
-        return
-    ratio = product / float(moved @ moved)
-    if not 0.5 < ratio < 2.0:
-        raise WrongUse(
-            f"{source}: the deflection's rate is {ratio:.3g} times its derivative: their units or signs "
-            "differ; give --dtheta-unit and --dtheta-dot-unit, or invert a sign with --dtheta-dot-scale -1"
-        )
+    command = channels["command"]
+    good = np.isfinite(command)
+    if np.ptp(command[good]) == 0.0:
+        raise WrongUse(f"{source}: the command {name!r} is {command[good][0]:.4g} in every row: leave --command out")
+    for channel in ("torque", "dtheta"):
+        both = good & np.isfinite(channels[channel])
+        one, other = (values[both] - values[both].mean() for values in (command, channels[channel]))
+        power = float(one @ one) * float(other @ other)
+        if power > 0.0 and power - float(one @ other) ** 2 <= _SAME * power:
+            raise WrongUse(
+                f"{source}: the command {name!r} is the {channel} that was read, whose errors it shares: name the "
+                "column of the set-point, or leave --command out"
+            )

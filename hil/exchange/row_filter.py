@@ -11,23 +11,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.errors import WrongUse, decimal_comma
 from hil.recording.interval import seconds
 
-_COMPARISONS: Mapping[str, Callable[..., bool | np.bool_ | NDArray[np.bool_]]] = MappingProxyType(
-    {
-        "==": operator.eq,
-        "!=": operator.ne,
-        "<=": operator.le,
-        ">=": operator.ge,
-        "<": operator.lt,
-        ">": operator.gt,
-    }
+_COMPARISONS: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"==": operator.eq, "!=": operator.ne, "<=": operator.le, ">=": operator.ge, "<": operator.lt, ">": operator.gt}
 )
-
-
 _DAY = 86400.0  # s
 
 
@@ -36,7 +26,7 @@ class RowFilter:
     """A filter that passes the rows in which the comparison of `column` with `value` is true.
 
     value: a number; s for a time; or a text. of_day: whether the value is a time of day, which dates have too. written:
-    the value as the user wrote it.
+    the time as the user wrote it.
     """
 
     column: str
@@ -71,14 +61,10 @@ class RowFilter:
         value = self.value if isinstance(self.value, str) else f"{self.value:g}"
         return f"{self.column}{self.comparison}{self.written or value}"
 
-    def keeps(self, value: float | str) -> bool:
-        """Return whether a row with `value` in the filter's column passes."""
-        if self.written and not isinstance(value, str):
-            value = round(value % _DAY if self.of_day else value, 6)
-        return bool(_COMPARISONS[self.comparison](value, self.value))
-
-    def mask(self, values: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return whether each row passes, (n,). values (n,): the numbers or texts in the filter's column."""
+    def keeps(self, values: Any) -> Any:
+        """Return whether a row passes, or each of the rows (n,). values: the number or text in the filter's column, or
+        those of all rows (n,).
+        """
         if self.written:  # a double holds a date to a fraction of a microsecond
             values = np.round(values % _DAY if self.of_day else values, 6)
-        return np.asarray(_COMPARISONS[self.comparison](values, self.value), dtype=np.bool_)
+        return _COMPARISONS[self.comparison](values, self.value)

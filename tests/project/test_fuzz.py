@@ -26,7 +26,7 @@ def parsers() -> Any:
 NAMES = (
     "dynamixel 2", "dynamixel 1, feetech", "feetech block", "mit", "robstride", "moteus", "odrive", "board lines",
     "stand", "plan",
-    "faults", "csv", "csv.gz", "plotjuggler", "mat", "mcap", "weights", "heat", "journal", "result", "checkpoint",
+    "faults", "csv", "csv.gz", "mat", "mcap", "weights", "heat", "journal", "result", "checkpoint",
     "quantity", "row filter",
 )  # fmt: skip
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hil.errors import WrongUse
 from hil.exchange.nested import names_of
-from hil.exchange.readers.columns import Columns, of_matrix
+from hil.exchange.readers.columns import Columns, at, of_matrix
 
 
 def read(source: Path) -> Columns:
@@ -28,18 +27,11 @@ def read(source: Path) -> Columns:
             f"{source} holds Python's objects, whose loading can run any program: save arrays of numbers, one for each "
             "column: numpy.savez('log.npz', t=..., tau=...)"
         ) from None
-    parts = {
-        name if field is None else f"{name}.{field}": array if field is None else array[field]
-        for name, array in arrays.items()
-        for field in array.dtype.names or [None]
-    }
+    parts = {name: array for name, array in arrays.items() if array.dtype.names is None}
+    parts |= {f"{name}.{field}": array[field] for name, array in arrays.items() for field in array.dtype.names or ()}
     beside = names_of(part.tolist() for part in parts.values() if part.dtype.kind == "U" and part.ndim == 1)
     return {
-        column: partial(_column, part, index)
+        column: partial(at, part, index)
         for name, part in parts.items()
-        for column, index in of_matrix(name, part, beside=beside)
+        for column, index in of_matrix(name, part.shape, beside=beside)
     }
-
-
-def _column(values: Any, index: tuple[int | slice, ...]) -> Any:
-    return values[index].ravel()

@@ -16,8 +16,8 @@ _LOOKED = 1000  # rows that show which values lie in a column
 
 
 def parquet(path: Path) -> ModuleType:
-    """Return the module of pyarrow that reads and writes Parquet. path: the file, for messages. Raises WrongUse if
-    pyarrow is not installed.
+    """Return the module of pyarrow that writes Parquet. path: the file, for messages. Raises WrongUse if pyarrow is not
+    installed.
     """
     try:
         import pyarrow.parquet
@@ -29,43 +29,35 @@ def parquet(path: Path) -> ModuleType:
 
 def read(source: Path) -> Columns:
     """Return the columns of a file: "q[2]" in a column of lists, "wrench.z" in a column of structs."""
-    module = parquet(source)
-    import pyarrow
+    from pyarrow import dataset, types
 
     with source.open("rb") as file:
-        is_parquet = file.read(4) == _PARQUET
-    load: Any
-    if is_parquet:
-        opened = module.ParquetFile(source)
-        schema, load = opened.schema_arrow, lambda names: opened.read(columns=names, use_threads=False)
-    else:
-        import pyarrow.ipc
-
-        table = pyarrow.ipc.open_file(source).read_all()
-        schema, load = table.schema, table.select
-    nested = [field.name for field in schema if pyarrow.types.is_nested(field.type)]
-    flat = {titled(one.name, _unit(one)): partial(_values, load, one.name) for one in schema if one.name not in nested}
+        form = "parquet" if file.read(4) == _PARQUET else "ipc"
+    table = dataset.dataset(source, format=form)
+    nested = [one.name for one in table.schema if types.is_nested(one.type)]
 
     @cache
     def inner(rows: int | None) -> Columns:
-        return from_values(columns(str(source), enumerate(load(nested).slice(0, rows).to_pylist())).values)
+        part = table.head(rows, columns=nested) if rows else table.to_table(nested)
+        return from_values(columns(str(source), enumerate(part.to_pylist())).values)
 
+    flat = {
+        titled(one.name, {"unit": "s"} if types.is_temporal(one.type) else one.metadata): partial(
+            _values, table, one.name
+        )
+        for one in table.schema
+        if one.name not in nested
+    }
     names = inner(_LOOKED) if nested else {}
     return flat | {name: partial(lambda name: inner(None)[name](), name) for name in names}
 
 
-def _unit(field: Any) -> dict[Any, Any]:
-    from pyarrow import types
-
-    return {"unit": "s"} if types.is_temporal(field.type) else field.metadata or {}
-
-
-def _values(load: Any, name: str) -> Any:
+def _values(table: Any, name: str) -> Any:
     """Return the values of a column (n,)."""
     import pyarrow
     from pyarrow import types
 
-    column = load([name]).column(0)
+    column = table.to_table([name], use_threads=False).column(0)
     if types.is_time(column.type):
         column = column.cast(pyarrow.int64()).cast(pyarrow.duration(column.type.unit))
     elif types.is_decimal(column.type):

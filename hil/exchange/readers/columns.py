@@ -16,6 +16,7 @@ from hil.exchange.nested import Names, plain
 from hil.recording.interval import seconds
 
 Array = NDArray[np.float64]
+Index = tuple[int | slice, ...]
 Columns = Mapping[str, Callable[[], Any]]
 """For each heading a function that reads the column (n,): numbers, texts, or dates and times (datetime64, timedelta64).
 """
@@ -38,28 +39,32 @@ def titled(name: str, metadata: Mapping[Any, Any] | None) -> str:
 
 
 def of_matrix(
-    name: str, values: Any, *, matlab: bool = False, beside: Names = MappingProxyType({})
-) -> Iterator[tuple[str, tuple[int | slice, ...]]]:
+    name: str, shape: tuple[int, ...], *, matlab: bool = False, beside: Names = MappingProxyType({})
+) -> Iterator[tuple[str, Index]]:
     """Yield the name and the index of each column of an array: "q[:,2]", or in MATLAB's words "q(:,3)".
 
-    values: anything with a shape. beside: names in the file, which give "q.finger". The rows of the table are along the
-    longest axis. A vector, also one that is stored as a matrix with one column, has the name of the array alone.
+    beside: names in the file, which give "q.finger". The rows of the table are along the longest axis. A vector, also
+    one that is stored as a matrix with one column, has the name of the array alone.
     """
-    shape = values.shape
     if not all(shape):
         return
-    rows = max(range(len(shape)), key=lambda axis: shape[axis], default=None)
+    rows = shape.index(max(shape)) if shape else None
     places: list[Sequence[int | slice]] = [
         range(size) if axis != rows else [slice(None)] for axis, size in enumerate(shape)
     ]
     alone = math.prod(shape) == max(shape, default=1)
     for index in islice(product(*places), MOST):
-        at = [(axis, place) for axis, place in enumerate(index) if not isinstance(place, slice)]
-        if len(at) == 1 and (names := beside.get(shape[at[0][0]])) and not alone:
-            yield f"{name}.{names[at[0][1]]}", index
-            continue
-        words = [":" if isinstance(at, slice) else str(at + matlab) for at in index]
-        yield name if alone else f"{name}({','.join(words)})" if matlab else f"{name}[{','.join(words)}]", index
+        inner = [(axis, place) for axis, place in enumerate(index) if not isinstance(place, slice)]
+        words = ",".join(":" if isinstance(place, slice) else str(place + matlab) for place in index)
+        if len(inner) == 1 and (names := beside.get(shape[inner[0][0]])) and not alone:
+            yield f"{name}.{names[inner[0][1]]}", index
+        else:
+            yield name if alone else f"{name}({words})" if matlab else f"{name}[{words}]", index
+
+
+def at(values: Any, index: Index) -> Any:
+    """Return the column (n,) of an array at an index that `of_matrix` yields."""
+    return values[index].ravel()
 
 
 def from_values(named: Mapping[str, Sequence[Any]]) -> Columns:
@@ -74,6 +79,11 @@ def from_values(named: Mapping[str, Sequence[Any]]) -> Columns:
     return found
 
 
+def _stamps(values: Sequence[Any]) -> Array:
+    found = (seconds(one) for one in values)
+    return np.array([math.nan if one is None else one for one in found])
+
+
 def numbers(values: Any) -> Array | None:
     """Return a column (n,) as numbers, dates and times in s; None if it holds anything else."""
     found = np.asarray(values)
@@ -82,8 +92,3 @@ def numbers(values: Any) -> Array | None:
     if found.dtype.kind == "m":
         return np.asarray(found / _SECOND, dtype=np.float64)
     return np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None
-
-
-def _stamps(values: Sequence[Any]) -> Array:
-    found = (seconds(one) for one in values)
-    return np.array([math.nan if one is None else one for one in found])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.errors import WrongUse
-from hil.exchange.readers.columns import Columns, of_matrix
+from hil.exchange.readers.columns import Columns, at, of_matrix
 
 
 def read(source: Path) -> Columns:
@@ -23,14 +23,15 @@ def read(source: Path) -> Columns:
     """
     from scipy.io import loadmat
 
-    found: dict[str, Callable[[], Any]] = {}
     objects: dict[str, str] = {}
     with source.open("rb") as file:
-        variables = loadmat(file)
-    for name, value in variables.items():
-        if not str(name).startswith("__"):
-            for path, part in _parts(str(name), value, objects):
-                found |= {column: partial(_column, part, at) for column, at in of_matrix(path, part, matlab=True)}
+        variables = {name: value for name, value in loadmat(file).items() if not str(name).startswith("__")}
+    found = {
+        column: partial(at, part, index)
+        for name, value in variables.items()
+        for path, part in _parts(str(name), value, objects)
+        for column, index in of_matrix(path, part.shape, matlab=True)
+    }
     return found | no_numbers(source, objects, alone=not found)
 
 
@@ -57,25 +58,20 @@ def _parts(name: str, value: Any, objects: dict[str, str]) -> Iterator[tuple[str
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
     if isinstance(value, MatlabOpaque):
-        objects[_text(value["s0"])] = _text(value["s2"])
+        own, kind = (np.ravel(value[field])[0] for field in ("s0", "s2"))
+        objects[_text(own)] = _text(kind)
     elif isinstance(value, MatlabObject | MatlabFunction):
         objects[name] = getattr(value, "classname", "function_handle")
     elif value.dtype.names is not None:
-        for at, element in enumerate(value.ravel(), start=1):
-            place = name if value.size == 1 else f"{name}({at})"
+        for number, element in enumerate(value.ravel(), start=1):
             for field in value.dtype.names:
-                yield from _parts(f"{place}.{field}", element[field], objects)
+                yield from _parts(f"{name}{'' if value.size == 1 else f'({number})'}.{field}", element[field], objects)
     elif value.dtype.kind == "O":
-        for at, element in enumerate(value.ravel(order="F"), start=1):
-            yield from _parts(f"{name}{{{at}}}", element, objects)
+        for number, element in enumerate(value.ravel(order="F"), start=1):
+            yield from _parts(f"{name}{{{number}}}", element, objects)
     elif value.dtype.kind in "fiub" or (value.dtype.kind == "U" and value.size > 1):
         yield name, value
 
 
-def _text(value: Any) -> str:
-    item = np.ravel(value)[0]
+def _text(item: Any) -> str:
     return item.decode("latin-1") if isinstance(item, bytes) else str(item)
-
-
-def _column(values: Any, index: tuple[int | slice, ...]) -> Any:
-    return values[index].ravel()

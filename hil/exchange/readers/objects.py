@@ -31,15 +31,9 @@ def read(source: Path) -> Columns:
         except json.JSONDecodeError as error:
             if rows and at == lines[-1][0] and not text.endswith("\n"):
                 break  # the power was lost while it was written
-            raise WrongUse(
-                f"{source}, line {at}: this is not JSON ({error.msg}): mend the line, or delete it"
-            ) from None
-    return from_values(_of_rows("", rows))
-
-
-def _of_rows(name: str, rows: list[Any], beside: Any = None) -> dict[str, Sequence[Any]]:
-    found = columns("JSON", enumerate(rows), beside=beside).values
-    return {written([name, path] if path and name else [name or path]): column for path, column in found.items()}
+            what = f"this is not JSON ({error.msg}): mend the line, or delete it"
+            raise WrongUse(f"{source}, line {at}: {what}") from None
+    return from_values(columns("JSON", enumerate(rows)).values)
 
 
 def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Sequence[Any]]:
@@ -49,11 +43,7 @@ def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Sequenc
         inner = {f"{name}.{key}" if name else key: item for key, item in value.items()}
         return {path: column for key, item in inner.items() for path, column in _of_document(key, item, names).items()}
     rows = value if isinstance(value, list) else [value]
-    if not any(isinstance(item, dict) for item in rows) and _is_across(rows):
+    if rows and all(isinstance(item, list) for item in rows) and len(rows) < len(rows[0]):  # lists are columns
         rows = np.array(rows, dtype=object).T.tolist()
-    return _of_rows(name, rows, beside) if rows else {}
-
-
-def _is_across(rows: list[Any]) -> bool:
-    """Return whether lists are columns, and not rows."""
-    return isinstance(next(iter(rows), None), list) and len(rows) < len(rows[0])
+    found = columns("JSON", enumerate(rows), beside=beside).values
+    return {written([one for one in (name, path) if one]): column for path, column in found.items()}

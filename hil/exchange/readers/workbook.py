@@ -1,12 +1,9 @@
-"""Turn a sheet of a workbook (.xlsx, .xlsm, .xlsb, .xls, .ods) into CSV with python-calamine."""
+"""Read a sheet of a workbook (.xlsx, .xlsm, .xlsb, .xls, .ods) as lines of text with python-calamine."""
 
 from __future__ import annotations
 
-import csv
 import re
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import date, time, timedelta
 from pathlib import Path
 from typing import Any
@@ -20,60 +17,43 @@ _NO_RESULT = re.compile(rb"(</f>|<f\b[^>]*/>)\s*(<v\s*/>|<v>\s*</v>)?\s*</c>")
 _LATER = b'fullCalcOnLoad="1"'  # the program that wrote the workbook computed nothing, and stored 0 for each formula
 
 
-@contextmanager
-def as_csv(source: Path, sheet: str | None) -> Iterator[Path]:
-    """Give a CSV file with the cells of a sheet, row for row. sheet: None for the only one that is not empty.
+def lines(source: Path, sheet: str | None) -> list[str]:
+    """Return the rows of a sheet as lines of cells between tabs. sheet: None for the only one that is not empty.
 
     Raises WrongUse, with the sheets that the workbook has; for formulas without results, and for merged numbers.
     """
-    name, rows = bounded(source, lambda: _rows(source, sheet))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sheet.csv"
-        with path.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file, delimiter="\t", quoting=csv.QUOTE_NONE, quotechar=None).writerows(rows)
-        try:
-            yield path
-        except WrongUse as error:
-            raise WrongUse(str(error).replace(str(path), f"{source}, sheet {name!r}")) from None
+    return bounded(source, lambda: _lines(source, sheet))
 
 
-def _rows(source: Path, sheet: str | None) -> tuple[str, list[list[str]]]:
+def _lines(source: Path, sheet: str | None) -> list[str]:
     from python_calamine import CalamineWorkbook
 
     _check_formulas(source)
     with CalamineWorkbook.from_path(source) as book:
-        names = [sheet] if sheet is not None else [one for one in book.sheet_names if _height(book, one)]
+        filled = [one for one in book.sheet_names if int(book.get_sheet_by_name(one).height)]
+        names = filled if sheet is None else [sheet]
         if len(names) != 1 or names[0] not in book.sheet_names:
             raise WrongUse(f"{source}: name the sheet with --topic; it has {listed(book.sheet_names)}")
         chosen = book.get_sheet_by_name(names[0])
         cells = chosen.to_python(skip_empty_area=False)
-        for (top, left), (bottom, right) in chosen.merged_cell_ranges or ():
-            _spread(source, cells, (top, left), (bottom, right))
-    return names[0], [_line(row) for row in cells]
+        for (top, left), (bottom, _) in chosen.merged_cell_ranges or ():
+            value = cells[top][left]
+            if isinstance(value, int | float) and top < bottom:
+                raise WrongUse(
+                    f"{source}: the number {value:g} stands in merged cells, rows {top + 1} to {bottom + 1}: it is not "
+                    "clear to which row it belongs: split these cells, and fill in what was read in each row"
+                )
+            for row in cells[top : bottom + 1]:
+                row[left] = value
+    return [_line(row) for row in cells]
 
 
-def _line(row: Sequence[Any]) -> list[str]:
-    """Return a row as texts. A line of texts, such as a title, ends with its last text."""
-    line = [_text(cell) for cell in row]
-    while line and not line[-1] and all(isinstance(cell, str) for cell in row):
-        line.pop()
-    return line
-
-
-def _height(book: Any, sheet: str) -> int:
-    return int(book.get_sheet_by_name(sheet).height)
-
-
-def _spread(source: Path, cells: Sequence[list[Any]], first: tuple[int, int], last: tuple[int, int]) -> None:
-    """Write a heading in merged cells into each row of the cells. Raises WrongUse for a number, which was read once."""
-    value = cells[first[0]][first[1]]
-    if isinstance(value, int | float) and first[0] < last[0]:
-        raise WrongUse(
-            f"{source}: the number {value:g} stands in merged cells, rows {first[0] + 1} to {last[0] + 1}: it is not "
-            "clear to which row it belongs: split these cells, and fill in what was read in each row"
-        )
-    for row in cells[first[0] : last[0] + 1]:
-        row[first[1]] = value
+def _line(row: Sequence[Any]) -> str:
+    """Return a row as text. A line of texts, such as a title, ends with its last text."""
+    texts = [_text(cell) for cell in row]
+    while texts and not texts[-1] and all(isinstance(cell, str) for cell in row):
+        texts.pop()
+    return "\t".join(texts) + "\n"
 
 
 def _check_formulas(source: Path) -> None:

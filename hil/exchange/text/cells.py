@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
 
 from hil.errors import WrongUse
 
-Style = Literal["point", "comma"]
-
 _SHOWN = 40  # characters of a bad cell that are quoted
 _MISSING = frozenset(
-    {"", "-", "--", "?", "na", "n/a", "#n/a", "#na", "null", "none", "<na>", "nil", "1.#qnan", "1.#ind"}
+    ["", "-", "--", "?", "na", "n/a", "#n/a", "#na", "null", "none", "<na>", "nil", "1.#qnan", "1.#ind"]
 )
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
-_IN_GROUPS: Mapping[Style, re.Pattern[str]] = {  # by the decimal mark; the other mark separates thousands
-    "point": re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?"),
-    "comma": re.compile(r"[-+]?[1-9]\d{0,2}(\.\d{3})+(,\d*)?"),
+_NUMBER = r"[-+]?(?:[1-9]\d{{0,2}}(?:\{between}\d{{3}})+|\d*)(?:\{mark}\d*)?(?:[eE][-+]?\d+)?"
+_NUMBERS = {  # by the decimal mark; the other mark separates thousands
+    ".": re.compile(_NUMBER.format(mark=".", between=",")),
+    ",": re.compile(_NUMBER.format(mark=",", between=".")),
 }
 _SPACES = re.compile("['\u2019\u00a0\u202f ]")
 _SPACED = re.compile(rf"[-+]?\d{{1,3}}({_SPACES.pattern}\d{{3}})+([.,]\d*)?")
@@ -29,18 +27,14 @@ _MINUTES = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")  # what Excel shows of a ti
 _DAY, _HOUR = 86400.0, 3600.0
 
 
-def is_number(text: str) -> bool:
-    """Return whether a text is a number in any notation."""
-    try:
-        float(_plain(text).replace(",", "."))
-    except ValueError:
-        return any(pattern.fullmatch(_plain(text)) for pattern in _IN_GROUPS.values())
-    return "_" not in text
-
-
 def is_missing(text: str) -> bool:
     """Return whether a text stands for a missing reading: an empty cell, "n/a", "null", ..."""
     return text.strip().lower() in _MISSING
+
+
+def is_number(text: str) -> bool:
+    """Return whether a text is a number in any notation."""
+    return bool(_values(_plain(text)))
 
 
 def clock(text: str) -> tuple[float, float] | None:
@@ -51,17 +45,14 @@ def clock(text: str) -> tuple[float, float] | None:
     """
     if ":" not in text:
         return None
-    text = text.strip()
-    try:
-        date = datetime.fromisoformat(text)
+    with suppress(ValueError):
+        date = datetime.fromisoformat(text.strip())
         return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp(), 0.0
-    except ValueError:
-        pass
     if match := _TIME_OF_DAY.search(text):
         hour, minute, second, rest, half = match.groups()
         hours = int(hour) % 12 + (12 if half in {"p", "P"} else 0) if half else int(hour)
         return 3600.0 * hours + 60.0 * int(minute) + float(f"{second}.{rest or 0}"), _DAY
-    if match := _MINUTES.fullmatch(text):
+    if match := _MINUTES.fullmatch(text.strip()):
         return 60.0 * int(match[1]) + float(f"{match[2]}.{match[3]}"), _HOUR
     return None
 
@@ -72,16 +63,21 @@ def _plain(text: str) -> str:
     return _SPACES.sub("", text) if _SPACED.fullmatch(text) else text
 
 
+def _values(text: str) -> dict[str, float]:
+    """Return by decimal mark the number that a text is; {} for no number."""
+    found = {}
+    for mark, pattern in _NUMBERS.items():
+        between = "," if mark == "." else "."
+        with suppress(ValueError):
+            if pattern.fullmatch(text):
+                found[mark] = float(text.replace(between, "").replace(mark, "."))
+    with suppress(ValueError):  # NaN, inf; but only Python separates thousands with "_"
+        return found or ({"": float(text)} if "_" not in text else {})
+    return found
+
+
 class NotANumber(Exception):
     """A cell holds no number. The text says which cell, and what to do."""
-
-
-class OtherStyle(Exception):
-    """The table must be read again, with this decimal mark."""
-
-    def __init__(self, style: Style) -> None:
-        super().__init__(style)
-        self.style: Style = style
 
 
 class Cells:
@@ -91,65 +87,42 @@ class Cells:
     decimal comma, and "1,004.80" and "0.5" only a decimal point. A file without such a number is refused.
     """
 
-    def __init__(self, names: Sequence[str], clocks: frozenset[int], style: Style | None) -> None:
-        self._names = names
-        self._clocks = clocks
-        self._style = style
+    def __init__(self, names: Sequence[str], clocks: frozenset[int], mark: str = ".") -> None:
+        """names: of the columns. clocks: the columns with times. mark: how numbers are read that may have either."""
+        self._names, self._clocks, self._mark = names, clocks, mark
         self._last = dict.fromkeys(clocks, math.nan)
-        self._sure: dict[Style, str] = {}  # by decimal mark the first number that can only have this one
-        self._unsure: dict[Style, str] = {}  # and the first that has it, or separates thousands with it
-        self._groups = ""  # the first number with a comma after and a point between the thousands
+        self._sure: dict[str, str] = {}  # by decimal mark the first number that can have no other
+        self._unsure: dict[str, str] = {}  # by mark the first number in which it may also separate thousands
+        self._groups = False  # whether a number shows that points separate thousands
 
     def number(self, line: int, at: int, cell: str) -> float:
         """Return the number in a cell; NaN for a missing reading. Raises NotANumber."""
         text = cell.strip()
-        try:
-            value = float(text)
-        except ValueError:
-            return self._other(line, at, text)
-        if "_" in text:  # only Python separates thousands so
-            raise NotANumber(self._bad(line, at, text))
-        if "." in text and not ("point" in self._sure and self._style != "comma"):
-            if not _IN_GROUPS["comma"].fullmatch(text):
-                self._sure.setdefault("point", self._place(line, at, text))
-            elif self._style == "comma":
-                return float(text.replace(".", ""))
-            else:
-                self._unsure.setdefault("point", self._place(line, at, text))
-        return value
-
-    def _other(self, line: int, at: int, text: str) -> float:
+        if "." not in text or ("." in self._sure and self._mark == "."):  # it shows nothing new
+            with suppress(ValueError):
+                if "_" not in text:
+                    return float(text)
         if is_missing(text):
             return math.nan
         if at in self._clocks and (read := clock(text)):
             return self._going_on(at, *read)
-        text, shown = _plain(text), text
-        for style, pattern in _IN_GROUPS.items():
-            mark, between = (".", ",") if style == "point" else (",", ".")
-            if pattern.fullmatch(text) and (mark in text or text.count(between) > 1):
-                self._sure.setdefault(style, self._place(line, at, shown))
-                self._groups = self._groups or (style if style == "comma" else "")
-                return float(text.replace(between, "").replace(mark, "."))
-        if _DECIMAL_COMMA.fullmatch(text):
-            if not _IN_GROUPS["point"].fullmatch(text):
-                self._sure.setdefault("comma", self._place(line, at, shown))
-            else:
-                self._unsure.setdefault("comma", self._place(line, at, shown))
-                if self._style == "point":
-                    return float(text.replace(",", ""))
-            return float(text.replace(",", "."))
-        try:
-            if "_" not in text:
-                return float(text)
-        except ValueError:
-            pass
-        raise NotANumber(self._bad(line, at, shown))
+        values = _values(_plain(text))
+        if not values:
+            raise NotANumber(self._bad(line, at, text))
+        place = f"{text!r} in row {line}, column {self._names[at]}"
+        mark = next((one for one in ".," if one in text), "")
+        if len(values) == 1:
+            [only] = values
+            self._sure.setdefault(only, place)
+            self._groups |= only == "," and "." in text
+        elif mark:
+            self._unsure.setdefault(mark, place)
+        return values.get(self._mark, next(iter(values.values())))
 
     def _going_on(self, at: int, time: float, period: float) -> float:
         """Return the time of a clock as one that does not begin anew at midnight, or on the hour."""
-        last = self._last[at]
-        if period and math.isfinite(last):
-            time += period * round((last - time) / period)
+        if period and math.isfinite(self._last[at]):
+            time += period * round((self._last[at] - time) / period)
         self._last[at] = time
         return time
 
@@ -162,25 +135,18 @@ class Cells:
             remedy = "write the unit in the heading only, and numbers in the cells"
         return f"row {line}, column {self._names[at]}: {shown!r} is not a number: {remedy}"
 
-    def _place(self, line: int, at: int, text: str) -> str:
-        return f"{text!r} in row {line}, column {self._names[at]}"
+    def other_mark(self, source: Path) -> str | None:
+        """Return the decimal mark with which the table must be read again, None if it was read right.
 
-    def check_commas(self, source: Path) -> None:
-        """Raise WrongUse if the file has decimal points and decimal commas, or if every comma may be a thousands
-        separator; OtherStyle if its numbers are certain only now.
+        Raises WrongUse if the file has decimal points and decimal commas, or if every comma may separate thousands.
         """
-        point, comma = self._sure.get("point"), self._sure.get("comma")
-        unsure_point = self._unsure.get("point")
-        if comma and (point or (unsure_point and not self._groups)):
+        point, comma = self._sure.get("."), self._sure.get(",")
+        point_too = point or ("" if self._groups else self._unsure.get("."))
+        if comma and point_too:
+            raise WrongUse(f"{source} writes decimals both ways, {point_too}, and {comma}: write all with a point")
+        if not point and not comma and "," in self._unsure:
             raise WrongUse(
-                f"{source} writes decimals both ways, {point or unsure_point}, and {comma}: write all with a point"
+                f"{source}: {self._unsure[',']}, may be a decimal or a thousand, like every number with a comma in the "
+                "file: write decimals with a point"
             )
-        if comma and unsure_point and self._style is None:
-            raise OtherStyle("comma")
-        if not comma and (unsure := self._unsure.get("comma")) and self._style is None:
-            if point:
-                raise OtherStyle("point")
-            raise WrongUse(
-                f"{source}: {unsure}, may be a decimal or a thousand, like every number with a comma "
-                "in the file: write decimals with a point"
-            )
+        return "," if comma and self._unsure and self._mark != "," else None

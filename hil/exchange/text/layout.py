@@ -59,7 +59,7 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
     """Return the layout of the table in the lines, and the lines from the first row on.
 
     wanted: the names of columns that are asked for; the line of headings has them. Raises WrongUse for a table without
-    headings.
+    headings, or without rows.
     """
     top = _whole(list(islice(lines, _TOP)))
     longest = csv.field_size_limit()
@@ -69,12 +69,14 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
     plain = [_SERIAL.sub("", line) for line in top]
     delimiter, fields, rows = _rows(plain)
     if not rows:
-        found = _without_rows(top, wanted)
-        return found, chain(top[found.above :], lines)
+        raise WrongUse(
+            f"{source} has no rows: none of its lines has two cells that are numbers: write units in the headings "
+            "only, and numbers in the cells"
+        )
     first, names, at = _headings(source, plain, (delimiter, fields, rows), wanted)
-    lines_of_units = [split_line(COMMENT.sub("", line), delimiter) for line in plain[at + 1 : first] if line.strip()]
-    lines_of_units += [_unlabelled(line, delimiter, len(names)) for line in plain[:first] if _UNITS.match(line)]
-    for cells in lines_of_units:
+    below = [split_line(COMMENT.sub("", line), delimiter) for line in plain[at + 1 : first] if line.strip()]
+    labelled = [_unlabelled(line, delimiter, len(names)) for line in plain[:first] if _UNITS.match(line)]
+    for cells in (*below, *labelled):
         names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
     row = split_line(plain[first], delimiter)
     if stamped:
@@ -82,8 +84,7 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
     clocks = frozenset(place for place, cell in enumerate(row[: len(names)]) if clock(cell) is not None)
     names = [f"{name} [s]" if place in clocks else name for place, name in enumerate(names)]
     heads = frozenset(tuple(split_line(line, delimiter)) for line in plain[at:first] if line.strip())
-    found = Layout(names, delimiter, first, fields, clocks, heads, stamped)
-    return found, chain(top[first:], lines)
+    return Layout(names, delimiter, first, fields, clocks, heads, stamped), chain(top[first:], lines)
 
 
 def _whole(lines: list[str]) -> list[str]:
@@ -96,18 +97,6 @@ def _whole(lines: list[str]) -> list[str]:
     return lines
 
 
-def _without_rows(top: Sequence[str], wanted: Collection[str]) -> Layout:
-    """Return the layout of a table without a row of numbers: its first line has the headings, unless another has those
-    wanted.
-    """
-    splits = [(at, *one) for at, line in enumerate(top) if line.strip() for one in _splits(line, "")]
-    first = next(
-        (one for one in splits if wanted and _has(one[1], wanted)), splits[0] if splits else (-1, [], True, ",")
-    )
-    at, names, _, delimiter = first
-    return Layout(names, delimiter, at + 1, len(names), frozenset(), frozenset(), stamped=False)
-
-
 def _rows(lines: Sequence[str]) -> tuple[str, int, list[int]]:
     """Return delimiter and number of cells of the rows of numbers, and the indices of these rows; [] without rows.
 
@@ -115,24 +104,18 @@ def _rows(lines: Sequence[str]) -> tuple[str, int, list[int]]:
     """
     best = [max((_numeric(line, one), -at, one) for at, one in enumerate(_DELIMITERS)) for line in lines]
     shapes = [
-        (one, len(split_line(line, one))) if count > 1 else None
-        for line, (count, _, one) in zip(lines, best, strict=True)
+        (one, len(split_line(line, one))) if n > 1 else None for line, (n, _, one) in zip(lines, best, strict=True)
     ]
     counts = Counter(one for one in shapes if one)
     if not counts:
         return "", 0, []
-    most = max(counts.values())
-    shape = [one for one in shapes if one and counts[one] == most][-1]
+    shape = max(counts, key=lambda one: (counts[one], len(shapes) - shapes[::-1].index(one)))  # of equals the last
     rows = [at for at, one in enumerate(shapes) if one == shape]
-    cells = [split_line(lines[at], shape[0]) for at in rows]
-    filled = [[_is_reading(cell) or is_missing(cell) for cell in row] for row in cells]
-    usual = [sum(column) >= _USUAL * len(rows) for column in zip(*filled, strict=True)]
-    kept = [
-        at
-        for at, row in zip(rows, filled, strict=True)
-        if all(is_in for is_in, asked in zip(row, usual, strict=True) if asked)
-    ]
-    return shape[0], shape[1], kept
+    filled = np.array(
+        [[_is_reading(cell) or is_missing(cell) for cell in split_line(lines[at], shape[0])] for at in rows]
+    )
+    usual = filled.mean(axis=0) >= _USUAL
+    return *shape, [at for at, row in zip(rows, filled, strict=True) if row[usual].all()]
 
 
 def _is_reading(cell: str) -> bool:

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.exchange.readers import formats, workbook
 from hil.exchange.row_filter import RowFilter
-from hil.exchange.text.cells import Cells, NotANumber, OtherStyle, Style
+from hil.exchange.text.cells import Cells, NotANumber
 from hil.exchange.text.layout import COMMENT, Layout, layout
 from hil.recording.input import open_input
 
@@ -51,12 +52,12 @@ class Read(NamedTuple):
     lost: list[str]
 
 
-def titles(source: Path, wanted: Collection[str] = ()) -> list[str]:
-    """Return the headings of the table, in order. wanted: names that the line of headings has. Raises WrongUse for a
-    file that is no text.
+def titles(source: Path, wanted: Collection[str] = (), sheet: str | None = None) -> list[str]:
+    """Return the headings of the table, in order. wanted: names that the line of headings has. sheet: of a workbook.
+    Raises WrongUse for a file that is no text.
     """
-    with _open(source, wanted) as file:
-        return layout(source, iter(file), wanted)[0].names
+    with _open(source, wanted, sheet, _Damage()) as lines:
+        return layout(source, lines, wanted)[0].names
 
 
 def read(
@@ -65,20 +66,20 @@ def read(
     wanted: Sequence[int],
     filters: Sequence[tuple[int, RowFilter]],
     *,
-    style: Style | None = None,
+    sheet: str | None = None,
+    mark: str = ".",
 ) -> Read:
     """Return the columns `wanted` (indices) of the rows that pass every filter.
 
-    asked: as in `titles`. style: the decimal mark, if it is known.
-    In a row that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be cut
-    off, and 1 % of the others damaged.
-    Raises WrongUse with the row that is wrong.
+    asked, sheet: as in `titles`. mark: the decimal mark of numbers that may have either. In a row that does not pass,
+    only the filtered cells are read. A missing reading is NaN. The last row may be cut off, and 1 % of the others
+    damaged. Raises WrongUse with the row that is wrong.
     """
     kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
     behind = max((*wanted, *(at for at, _ in filters)), default=0)
-    with _open(source, asked) as file:
-        form, rest = layout(source, iter(file), asked)
-        cells = Cells(form.names, form.clocks, style)
+    with _open(source, asked, sheet, damage) as lines:
+        form, rest = layout(source, lines, asked)
+        cells = Cells(form.names, form.clocks, mark)
         reader = form.reader(_without_nul(rest, form.above, damage))
         for row in _rows(source, reader, form.above):
             if not row:
@@ -96,13 +97,10 @@ def read(
                         column.append(number)
             except NotANumber as error:
                 damage.note(source, last, str(error), form, row)
-        try:
-            cells.check_commas(source)
-        except OtherStyle as other:
-            return read(source, asked, wanted, filters, style=other.style)
-        lost = damage.report(source, len(places), last, cut_off=file.cut_off)
+        if (other := cells.other_mark(source)) is not None:
+            return read(source, asked, wanted, filters, sheet=sheet, mark=other)
     table = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
-    return Read(table, np.array(places, dtype=np.int64), lost)
+    return Read(table, np.array(places, dtype=np.int64), damage.report(source, len(places), last))
 
 
 def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
@@ -113,23 +111,23 @@ def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
         row.pop()
     if len(row) == len(form.names) or (len(row) == form.fields < len(form.names) and last < len(row)):
         return
-    start = f"row {line}: {len(row)} fields, but the header names {len(form.names)}: "
+    remedy = "mend the row, or delete it if the file was cut off there"
     if form.delimiter == "," and len(row) > len(form.names):
-        raise NotANumber(
-            start + "mend the row; where decimals or thousands are written with commas, separate the columns with "
-            "semicolons"
+        remedy = (
+            "mend the row; where decimals or thousands are written with commas, separate the columns with semicolons"
         )
-    raise NotANumber(start + "mend the row, or delete it if the file was cut off there")
+    raise NotANumber(f"row {line}: {len(row)} fields, but the header names {len(form.names)}: {remedy}")
 
 
 class _Damage:
-    """Counts the lines of a table that are no rows of numbers.
+    """Counts the lines of a table that are no rows of numbers. cut_off: whether a packed file has no end.
 
     Headings and text that a logger wrote again when it was started hold no reading, so that nothing is lost.
     """
 
     def __init__(self) -> None:
         self.lost: list[tuple[int, str]] = []
+        self.cut_off = False
 
     def note(self, source: Path, line: int, what: str, form: Layout, row: list[str]) -> None:
         """Count a line, unless it holds no reading. Raises WrongUse for headings in another order."""
@@ -142,7 +140,7 @@ class _Damage:
         if cells not in form.heads and not COMMENT.match(row[0]) and any(map(_READING.match, cells)):
             self.lost.append((line, what))
 
-    def report(self, source: Path, kept: int, last: int, *, cut_off: bool) -> list[str]:
+    def report(self, source: Path, kept: int, last: int) -> list[str]:
         """Return sentences about the rows that are lost, beside `kept` rows. last: number of the last line.
 
         Raises WrongUse if many are lost.
@@ -155,7 +153,7 @@ class _Damage:
         if self.lost:
             rows = "1 row is" if len(self.lost) == 1 else f"{len(self.lost)} of {count} rows are"
             said.append(f"{rows} damaged and left out; the first is {self.lost[0][1].partition(': mend')[0]}")
-        if cut_off:
+        if self.cut_off:
             said.append(f"the file is cut off after row {last}, and what followed is lost")
         return said
 
@@ -164,17 +162,13 @@ def _rows(source: Path, reader: Reader, above: int) -> Iterator[list[str]]:
     try:
         yield from reader
     except csv.Error as error:
-        line = reader.line_num + above
-        raise WrongUse(f"{source}, near row {line}: {_csv_error(error)}") from None
-
-
-def _csv_error(error: csv.Error) -> str:
-    if "field limit" in str(error):
-        return (
-            f"a field is longer than {csv.field_size_limit()} characters: close the quotation mark that was opened "
-            "there, or check that the file is CSV"
-        )
-    return f"this is not CSV ({error})"
+        what = f"this is not CSV ({error})"
+        if "field limit" in str(error):
+            what = (
+                f"a field is longer than {csv.field_size_limit()} characters: close the quotation mark that was opened "
+                "there, or check that the file is CSV"
+            )
+        raise WrongUse(f"{source}, near row {reader.line_num + above}: {what}") from None
 
 
 def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[str]:
@@ -182,53 +176,35 @@ def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[
     for at, line in enumerate(lines, above + 1):
         if "\0" in line:
             damage.lost.append((at, f"row {at}: NUL bytes, as a disk has after a loss of power"))
-            yield "\n"
-        else:
-            yield line
-
-
-def _other_bytes(error: UnicodeError) -> tuple[str, int]:
-    """Return the text of bytes that are not UTF-8, as Windows writes a degree sign or an accent."""
-    if not isinstance(error, UnicodeDecodeError) or error.encoding.startswith("utf-16"):
-        raise error
-    one = error.object[error.start : error.start + 1]
-    return one.decode("cp1252", "replace"), error.start + 1
-
-
-codecs.register_error("hil-windows", _other_bytes)
-
-
-class _File:
-    """The lines of a text file. cut_off: whether a compressed file ended before its end mark."""
-
-    def __init__(self, text: TextIO) -> None:
-        self._text = text
-        self.cut_off = False
-
-    def __iter__(self) -> Iterator[str]:
-        is_read = False
-        try:
-            for line in iter(partial(self._text.readline, _LONGEST), ""):
-                is_read = True
-                yield line
-        except EOFError:
-            if not is_read:
-                raise
-            self.cut_off = True
+        yield "\n" if "\0" in line else line
 
 
 @contextmanager
-def _open(source: Path, wanted: Collection[str]) -> Iterator[_File]:
+def _open(source: Path, wanted: Collection[str], sheet: str | None, damage: _Damage) -> Iterator[Iterator[str]]:
+    """Give the lines of a text, or of a sheet of a workbook."""
+    if formats.kind_of(source) == formats.WORKBOOK:
+        yield iter(workbook.lines(source, sheet))
+        return
     try:
-        with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source, wanted), "hil-windows", newline="") as text:
-            yield _File(text)
-    except UnicodeDecodeError:
-        raise WrongUse(f"{source} cannot be read as text: save the table as CSV in UTF-8") from None
+        with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source, wanted), "replace", newline="") as text:
+            yield _until_cut_off(text, damage)
     except (gzip.BadGzipFile, EOFError, zlib.error):
         raise WrongUse(f"{source} cannot be read (it is no gzip file, or is damaged): check the name") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
+
+
+def _until_cut_off(text: TextIO, damage: _Damage) -> Iterator[str]:
+    """Yield the lines of a file, up to where a compressed one ends before its end mark."""
+    line = ""
+    try:
+        for line in iter(partial(text.readline, _LONGEST), ""):
+            yield line
+    except EOFError:
+        if not line:
+            raise
+        damage.cut_off = True
 
 
 @contextmanager
@@ -242,8 +218,9 @@ def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
 
 
 def _encoding(source: Path, wanted: Collection[str]) -> str:
-    """Return the encoding of a file: UTF-8 with or without a byte-order mark, UTF-16, which spreadsheets call Unicode
-    text, or another in which the file has the names that are wanted. Raises WrongUse for a file that is no text.
+    """Return the encoding of a file: UTF-16, which spreadsheets call Unicode text; one in which the file has the names
+    that are wanted; UTF-8 with or without a byte-order mark; else that of Windows. Raises WrongUse for a file that is
+    no text.
     """
     start = b""
     with _bytes(source) as raw, suppress(EOFError):  # a packed file that is cut off has no beginning
@@ -256,10 +233,12 @@ def _encoding(source: Path, wanted: Collection[str]) -> str:
     if len(start.translate(None, _CONTROLS)) < (1.0 - _CONTROL) * len(start.replace(b"\0", b"")):
         raise WrongUse(f"{source} is no text: save the table as CSV in UTF-8")
     names = [name for name in wanted if not name.isascii()]
-    return next((one for one in _ENCODINGS if names and _has(start, names, one)), "utf-8-sig")
-
-
-def _has(text: bytes, names: Sequence[str], encoding: str) -> bool:
-    with suppress(UnicodeEncodeError):
-        return all(name.encode(encoding) in text for name in names)
-    return False
+    for one in _ENCODINGS if names else ():
+        with suppress(UnicodeEncodeError):
+            if all(name.encode(one) in start for name in names):
+                return one
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(start)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8-sig"

@@ -194,39 +194,25 @@ def test_a_bag_without_its_library_says_what_to_install(tmp_path: Path, monkeypa
 # --- PlotJuggler -----------------------------------------------------------------------------------------------------
 
 
-def plotjuggler(tmp_path: Path) -> Path:
-    """Write a table in which every second row is of another topic."""
-    lines = ["__time,/joint_states/finger/position,/joint_states/finger/effort,/joint_states/thumb/position,/battery/v"]
+def test_a_table_of_several_topics_is_read_where_a_row_has_a_reading(tmp_path: Path) -> None:
+    """As PlotJuggler exports them: a row has empty cells for the topics that were not received at its time."""
+    lines = ["__time,/joint_states/finger/position,/joint_states/finger/effort,/battery/v"]
     for time, position, effort in zip(TIME.tolist(), STATE[1].tolist(), STATE[3].tolist(), strict=True):
-        lines += [f"{1.7e9 + time:.6f},{position!r},{effort!r},1.0,", f"{1.7e9 + time + 0.003:.6f},,,,12.5"]
+        lines += [f"{1.7e9 + time:.6f},{position!r},{effort!r},", f"{1.7e9 + time + 0.003:.6f},,,12.5"]
     (tmp_path / "pj.csv").write_text("\n".join(lines) + "\n")
-    return tmp_path / "pj.csv"
-
-
-def test_a_joint_of_plotjugglers_table_becomes_a_recording(tmp_path: Path) -> None:
-    assert imported(tmp_path, plotjuggler(tmp_path)).samples == 200
+    position, effort = Column("/joint_states/finger/position", "rad"), Column("/joint_states/finger/effort", "N*m")
+    columns = {"time": Column("__time", "s"), "torque": effort, "dtheta": position}
+    assert import_table(tmp_path / "pj.csv", tmp_path / "a.h5", columns, []).samples == 200
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("time"), TIME, atol=1e-6)
         np.testing.assert_array_equal(recording.channel("dtheta"), STATE[1])
-
-
-def test_columns_of_plotjugglers_table_need_units_but_for_the_time(tmp_path: Path) -> None:
-    source = plotjuggler(tmp_path)
-    position, effort = "/joint_states/finger/position", "/joint_states/finger/effort"
-    columns = {"time": Column("__time"), "torque": Column(effort), "dtheta": Column(position)}
-    with pytest.raises(WrongUse, match="does not say the unit of '/joint_states/finger/effort'"):
-        import_table(source, tmp_path / "a.h5", columns, [])
-    battery = columns | {"torque": Column("/battery/v", "N*m"), "dtheta": Column(position, "rad")}
     with pytest.raises(WrongUse, match="no row has both torque and deflection"):
-        import_table(source, tmp_path / "a.h5", battery, [])
-
-
-def test_a_joint_that_plotjugglers_table_does_not_have_is_said_with_those_it_has(tmp_path: Path) -> None:
-    with pytest.raises(WrongUse, match="no joint state for /joint_states index; it has /joint_states/finger, /"):
-        imported(tmp_path, plotjuggler(tmp_path), "/joint_states", "index")
+        import_table(
+            tmp_path / "pj.csv", tmp_path / "a.h5", columns | {"torque": Column("/battery/v", "N*m")}, [], force=True
+        )
 
 
 def test_a_topic_of_another_table_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t [s],q [N*m]\n0,1\n")
-    with pytest.raises(WrongUse, match="is no bag, nor a table of PlotJuggler"):
+    with pytest.raises(WrongUse, match="is no bag and has no topics or joints: name its columns"):
         imported(tmp_path, tmp_path / "a.csv")

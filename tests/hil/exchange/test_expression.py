@@ -73,6 +73,6 @@ def test_what_is_no_sum_of_columns_is_refused_and_never_run(tmp_path: Path, text
 
 def test_a_column_of_a_sum_without_a_unit_is_refused_by_its_name(tmp_path: Path) -> None:
     with pytest.raises(
-        WrongUse, match=r"does not say the unit of 'joint': write it behind the name, such as joint\[rad\]"
+        WrongUse, match=r"the unit of 'joint' \(0.7 to 0.7\): write it behind the name, such as joint\[rad\], or"
     ):
         deflection(tmp_path, BARE, "'motor pos'[deg]/20 - joint")

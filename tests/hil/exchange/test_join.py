@@ -12,7 +12,7 @@ import pytest
 
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, Imported, import_table
-from hil.exchange.wanted.join import Join
+from hil.exchange.join import Join
 from hil.recording.reader import Recording
 from hil.stand.file import parse
 

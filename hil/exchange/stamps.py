@@ -16,6 +16,7 @@ _BITS = (16, 24, 32)
 _TICKS = (1.0, 1e-3, 1e-6, 1e-9)  # s, that a counter counts
 _DAY = 86400.0  # s
 _NEAR = 20.0  # usual steps, within which a counter reaches its end and begins anew
+_DAMAGED = 0.01  # share of the rows that may have no time, or a wrong one
 _MOVED = 0.02  # share of the rows, by which one may be out of place
 _FEW = 64  # rows, by which one may always be
 _ALONE = 3  # rows at most that have a wrong stamp side by side
@@ -24,7 +25,43 @@ _PAUSE = 0.1  # of all rows: a longer gap than any that identification passes ov
 _DENSE = 0.7  # of the usual step, below which two records overlap
 
 
-def unwrapped(time: Array, unit: float) -> tuple[Array, float]:
+def mended(
+    source: Path, channels: dict[str, Array], rows: Rows, unit: float, *, one_clock: bool
+) -> tuple[dict[str, Array], Rows, list[str]]:
+    """Return the channels and the numbers of their rows in the order of time, and sentences about what was mended.
+
+    unit: of the time, s. one_clock: whether times may not go back. Raises WrongUse for times that are missing in many
+    rows, or that go back again and again.
+    """
+    known, said = np.isfinite(channels["time"]), list[str]()
+    count, bad = len(known), np.flatnonzero(~known)
+    if bad.size > _DAMAGED * count:
+        raise WrongUse(
+            f"{source}, row {rows[bad[0]]}: the time is not a number, in {bad.size} of {count} rows: delete these "
+            "rows, or fill in their times; a gap does no harm"
+        )
+    if bad.size:
+        said.append(f"{bad.size} of {count} rows have no time and are left out")
+    time, span = _unwrapped(channels["time"][known], unit)
+    if span:
+        said.append(f"the time begins anew after {span:.7g} s, the range of its counter, and is continued")
+    order = _order(time)
+    wrong = _astray(time[order])
+    if 0 < np.count_nonzero(wrong) <= _DAMAGED * count:
+        said.append(f"{np.count_nonzero(wrong)} of {count} rows have a wrong time and are left out")
+        order = order[~wrong]
+    if moved := np.count_nonzero(np.diff(order) < 0):
+        said.append(f"rows are out of order, in {moved} places of {count}; they are sorted by their times")
+    time, pieces = _continued(source, time[order], rows[known][order])
+    if pieces and one_clock:
+        raise WrongUse(f"{source}: {pieces}. No second file can be joined to such times: choose one part with --where")
+    said += [pieces] if pieces else []
+    if not said:
+        return channels, rows, []
+    return {name: values[known][order] for name, values in channels.items()} | {"time": time}, rows[known][order], said
+
+
+def _unwrapped(time: Array, unit: float) -> tuple[Array, float]:
     """Return stamps (n,), s, that go on where a counter began anew, and the counter's range, s, 0 if none did.
 
     unit: of the column, s. A counter of 16, 24 or 32 bits, or of the time of day, is certain where every step back
@@ -45,7 +82,7 @@ def unwrapped(time: Array, unit: float) -> tuple[Array, float]:
     return time, 0.0
 
 
-def order(time: Array) -> Rows:
+def _order(time: Array) -> Rows:
     """Return the order (n,) in which the stamps (n,), s, rise; the order they have, if they were not only written out
     of order.
 
@@ -58,7 +95,7 @@ def order(time: Array) -> Rows:
     if not shifts.any() or shifts.max() > max(min(_FEW, len(time) // 8), _MOVED * len(time)):
         return places
     steps = np.diff(time[rising])
-    disturbed = _disturbed(rising)
+    disturbed = np.maximum.accumulate(rising)[:-1] > places[:-1]  # steps within a run of rows out of place
     outside = steps[~disturbed] if np.count_nonzero(~disturbed) > np.count_nonzero(disturbed) else steps
     usual = float(np.mean(np.minimum(outside, _NEAR * np.median(outside))))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], disturbed, [False]]).astype(np.int8)))
@@ -67,13 +104,7 @@ def order(time: Array) -> Rows:
     return places if any(dense) or small else rising
 
 
-def _disturbed(rising: Rows) -> NDArray[np.bool_]:
-    """Return the steps (n-1,) between risen stamps that lie within a run of rows out of place."""
-    highest = np.maximum.accumulate(rising)
-    return highest[:-1] > np.arange(len(rising) - 1)
-
-
-def astray(time: Array) -> NDArray[np.bool_]:
+def _astray(time: Array) -> NDArray[np.bool_]:
     """Return which stamps (n,), s, are wrong and stand alone: 0, or far ahead, between rows whose stamps rise."""
     low = time < np.maximum.accumulate(time)
     high = time > np.minimum.accumulate(time[::-1])[::-1]
@@ -82,7 +113,7 @@ def astray(time: Array) -> NDArray[np.bool_]:
     return wrong if run.max() <= _ALONE else np.zeros_like(wrong)
 
 
-def continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
+def _continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
     """Return stamps (n,), s, that go on after a pause where they go back, and what was found there; "" for nothing.
 
     rows (n,): the numbers of the rows. Raises WrongUse if they go back so often that they are no time.
@@ -92,9 +123,11 @@ def continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
     if not back.size:
         return time, ""
     at = int(back[0])
-    start = f"{source}, row {rows[at + 1]}: the time goes backwards by {-steps[at]:.6g} s"
     if back.size * _PIECE > len(time):
-        raise WrongUse(f"{start}, as in {back.size} of {len(time)} rows: it is no time: name another column")
+        raise WrongUse(
+            f"{source}, row {rows[at + 1]}: the time goes backwards by {-steps[at]:.6g} s, as in {back.size} of "
+            f"{len(time)} rows: it is no time: name another column"
+        )
     pause = _PAUSE * len(time) * float(np.median(steps[steps > 0.0]))
     later = np.zeros(len(time))
     later[back + 1] = pause - steps[back]

@@ -20,14 +20,12 @@ _AROUND: Final = 1.0  # periods of that frequency, around the first estimate, in
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """What to add to the torque's clock, s, and its standard error. drift: how much the shift changes in a second, and
-    its error. explained: the share of the torque's power that deflection and rate explain after the shift.
+    """What to add to the torque's clock, s, and its standard error, which is large too where the clocks run apart.
+    explained: the share of the torque's power that deflection and rate explain after the shift.
     """
 
     seconds: float
     error: float
-    drift: float
-    drift_error: float
     explained: float
 
 
@@ -56,11 +54,7 @@ def shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> Shift:
     tried = np.arange(-_AROUND / highest, _AROUND / highest, step)
     best = float(tried[np.argmin([misfits(one).sum() for one in tried])])
     own, best = _refined(misfits, best, step)
-    middles = np.array([piece.mean() for piece in np.array_split(grid - grid.mean(), _PIECES)])
-    drift = float(middles @ own / (middles @ middles))
-    scatter = float(np.linalg.norm(own - own.mean() - drift * middles)) / (_PIECES - 2) ** 0.5
-    error, drift_error = scatter / _PIECES**0.5, scatter / float(np.linalg.norm(middles))
-    return Shift(coarse + best, error, drift, drift_error, explained)
+    return Shift(coarse + best, float(np.std(own, ddof=1)) / _PIECES**0.5, explained)
 
 
 def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> tuple[Array, float]:

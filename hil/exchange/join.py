@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.exchange.clocks import Shift, shift_of
 from hil.exchange.columns import Table
-from hil.exchange.wanted.clocks import Shift, shift_of
-from hil.exchange.wanted.expression import terms
+from hil.exchange.expression import terms
 from hil.uncertainty.criteria import TICK_SHARE
 
 Array = NDArray[np.float64]
+Part = tuple[Path, dict[str, Array]]
+"""One of the files: its name, and each of its channels, in SI, in the order of time, (n,)."""
 
 _GAP: Final = 3.5  # times between two readings, in which one or two may be missing
 _EXPLAINED: Final = 0.3  # of the torque's power, which no deflection of another run explains
-_SURE: Final = 4.0  # standard errors
-
-_TORQUES, _ANGLES = ("torque", "motor_torque"), ("dtheta", "motor_position")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +35,6 @@ class Join:
     shared: bool = False
 
 
-class Part(NamedTuple):
-    """One of the files: each of its channels, in SI, and their times, in order, (n,)."""
-
-    source: Path
-    channels: dict[str, Array]
-
-    @property
-    def time(self) -> Array:
-        """Return the times (n,), s."""
-        return self.channels["time"]
-
-
 def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
     """Return the table that has a column, or every column of a sum, and its name in it; `FILE:NAME` says which.
 
@@ -56,20 +44,17 @@ def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
         own = name.removeprefix(f"{table.source.name}:")
         if own != name:
             return table, own
-    found = [table for table in (first, second) if _has(table, name)]
+    found = []
+    for table in (first, second):
+        with suppress(WrongUse):
+            terms(name, table.place, table.has)
+            found.append(table)
     if len(found) == 2:
         raise WrongUse(
             f"{first.source} and {second.source} both have {name!r}: write {second.source.name}:{name}, or "
             f"{first.source.name}:{name}"
         )
     return (found or [first])[0], name
-
-
-def _has(table: Table, name: str) -> bool:
-    try:
-        return bool(terms(name, table.place, table.has))
-    except WrongUse:
-        return False
 
 
 def joined(one: Part, two: Part, *, shared: bool) -> tuple[dict[str, Array], str]:
@@ -79,59 +64,55 @@ def joined(one: Part, two: Part, *, shared: bool) -> tuple[dict[str, Array], str
     have no reading. Raises WrongUse if the files have no common time, or the clocks' difference cannot be found.
     """
     one, two = _rising(one), _rising(two)
-    said = ""
-    if not shared:
-        change, said = _change(one, two)
-        two = Part(two.source, two.channels | {"time": two.time + change})
-    slow, fast = (one, two) if np.median(np.diff(one.time)) >= np.median(np.diff(two.time)) else (two, one)
-    inside = (slow.time >= fast.time[0]) & (slow.time <= fast.time[-1])
+    change, said = (0.0, "") if shared else _change(one, two)
+    times = one[1]["time"], two[1]["time"] + change
+    is_first_slow = np.median(np.diff(times[0])) >= np.median(np.diff(times[1]))
+    (slow, fast), (own, other) = ((one, two), times) if is_first_slow else ((two, one), times[::-1])
+    inside = (own >= other[0]) & (own <= other[-1])
     if not inside.any():
+        spans = [f"from {time[0]:.9g} to {time[-1]:.9g} s" for time in times]
         raise WrongUse(
-            f"{one.source} is from {one.time[0]:.9g} to {one.time[-1]:.9g} s, {two.source} from {two.time[0]:.9g} to "
-            f"{two.time[-1]:.9g} s, so they have no common time: name files of one run, or leave --shared-clock out if "
-            "their clocks differ"
+            f"{one[0]} is {spans[0]}, {two[0]} {spans[1]}, so they have no common time: name files of one run, or "
+            "leave --shared-clock out if their clocks differ"
         )
-    channels = {name: _at(slow.time[inside], fast, name) for name in fast.channels}
-    return channels | {name: values[inside] for name, values in slow.channels.items()}, said
+    channels = {name: _at(own[inside], other, values, name) for name, values in fast[1].items()}
+    channels |= {name: values[inside] for name, values in slow[1].items()}
+    return channels | {"time": own[inside]}, said
 
 
 def _rising(part: Part) -> Part:
     """Return the rows of a file whose time is later than that of the row before."""
-    kept = np.append(True, np.diff(part.time) > 0.0)
+    kept = np.append(True, np.diff(part[1]["time"]) > 0.0)
     if np.count_nonzero(kept) < 2:
-        raise WrongUse(f"{part.source} has fewer than two rows with a time: name the column of its time")
-    return Part(part.source, {name: values[kept] for name, values in part.channels.items()})
+        raise WrongUse(f"{part[0]} has fewer than two rows with a time: name the column of its time")
+    return part[0], {name: values[kept] for name, values in part[1].items()}
 
 
 def _change(one: Part, two: Part) -> tuple[float, str]:
     """Return what to add to the second file's times, s, and a sentence. Raises WrongUse if that cannot be found."""
-    angles, loads, sign = (one, two, 1.0) if {*_ANGLES} & {*one.channels} else (two, one, -1.0)
-    torque = next((name for name in _TORQUES if name in loads.channels), None)
-    angle = next((name for name in _ANGLES if name in angles.channels), None)
-    both = f"the clocks of {one.source} and {two.source}"
+    found = {name: (part, name) for part in (one, two) for name in part[1]}
+    load, angle = found.get("torque"), found.get("dtheta") or found.get("motor_position")
+    both = f"the clocks of {one[0]} and {two[0]}"
     how = "record both with one clock, and give --shared-clock"
-    if torque is None or angle is None:
-        raise WrongUse(f"{both} can be compared only by the torque of one and the deflection of the other: {how}")
-    if torque == "motor_torque":
+    if "motor_torque" in found:
         raise WrongUse(f"{both} cannot be compared by the torque of a motor, whose inertia acts as a shift: {how}")
-    shift = _shift(_good(angles, angle), _good(loads, torque))
-    step = max(float(np.median(np.diff(one.time))), float(np.median(np.diff(two.time))))
+    if load is None or angle is None or load[0] is angle[0]:
+        raise WrongUse(f"{both} can be compared only by the torque of one and the deflection of the other: {how}")
+    shift = _shift(_good(*angle), _good(*load))
     if shift.explained < _EXPLAINED:
         raise WrongUse(
             f"{both} cannot be compared: at the best shift the deflection explains {100 * shift.explained:.0f} % of "
             "the torque's power, which is that of another run: name files of one run"
         )
-    span = float(one.time[-1] - one.time[0])
+    step = max(float(np.median(np.diff(part[1]["time"]))) for part in (one, two))
     if not shift.error < TICK_SHARE * step:
         raise WrongUse(
             f"{both} cannot be compared well enough: the shift has a standard error of {1e3 * shift.error:.2g} ms, "
             f"and Bc one of Kc times that: move at several speeds and longer, or {how}"
         )
-    if abs(shift.drift) > _SURE * shift.drift_error and abs(shift.drift) * span > step:
-        raise WrongUse(f"{both} run apart by {1e3 * abs(shift.drift):.2g} ms in each second, so no shift fits: {how}")
-    change = sign * shift.seconds
+    change = shift.seconds if load[0] is two else -shift.seconds
     return change, (
-        f"the times of {two.source.name} are shifted by {change:.6f} s (within {2e3 * shift.error:.2g} ms) so "
+        f"the times of {two[0].name} are shifted by {change:.6f} s (within {2e3 * shift.error:.2g} ms) so "
         "that the torque fits the deflection"
     )
 
@@ -140,23 +121,26 @@ def _shift(angle: tuple[Array, Array], load: tuple[Array, Array]) -> Shift:
     try:
         return shift_of(*angle, *load)
     except (ValueError, IndexError, np.linalg.LinAlgError):  # too short, or without motion
-        return Shift(0.0, np.inf, 0.0, np.inf, 0.0)
+        return Shift(0.0, np.inf, 0.0)
 
 
 def _good(part: Part, name: str) -> tuple[Array, Array]:
-    good = np.isfinite(part.channels[name])
-    return part.time[good], part.channels[name][good]
+    good = np.isfinite(part[1][name])
+    return part[1]["time"][good], part[1][name][good]
 
 
-def _at(time: Array, part: Part, name: str) -> Array:
-    """Return a channel of the faster file at other times (k,), NaN inside its gaps; of a command the last one."""
+def _at(wanted: Array, time: Array, values: Array, name: str) -> Array:
+    """Return a channel (n,), read at times (n,), at other times (k,): NaN inside its gaps; of a command the last
+    one.
+    """
     from scipy.interpolate import CubicSpline
 
-    known, values = _good(part, name)
+    good = np.isfinite(values)
+    known, values = time[good], values[good]
     if len(known) < 2:
-        return np.full(len(time), np.nan)
-    after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
-    found = values[after - (known[after] > time)] if name == "command" else CubicSpline(known, values)(time)
-    gap = known[after] - known[after - 1] > _GAP * float(np.median(np.diff(part.time)))
-    outside = (time < known[0]) | (time > known[-1])
+        return np.full(len(wanted), np.nan)
+    after = np.clip(np.searchsorted(known, wanted), 1, len(known) - 1)
+    found = values[after - (known[after] > wanted)] if name == "command" else CubicSpline(known, values)(wanted)
+    gap = known[after] - known[after - 1] > _GAP * float(np.median(np.diff(time)))
+    outside = (wanted < known[0]) | (wanted > known[-1])
     return np.where(gap | outside, np.nan, found)
