@@ -22,12 +22,8 @@ Array = NDArray[np.float64]
 Kind = Literal["held", "joined"]
 Channel = Literal["torque", "deflection"]
 
-FEWEST_READINGS: Final = 30
-"""The smallest number of readings from which a sensor's pace is judged."""
-
-COUNTS_A_TICK: Final = 2.0
-"""The speed, in counts per tick, from which a fast sensor does not repeat a count."""
-
+_FEWEST: Final = 30  # readings, from which a sensor's pace is judged
+_COUNTS: Final = 2.0  # counts a tick, from which a fast sensor does not repeat a count
 _REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
 _UNEVEN: Final = 0.35  # of a pace, by which it varies at most
 _ODD: Final = 0.1  # ticks squared, by which chance varies it
@@ -95,13 +91,13 @@ class Slower:
 
 def kind_of(time: Array, values: Array) -> Kind | None:
     """Return how a channel (n,), logged at time (n,), s, shows a sensor slower than the ticks; None if it does not."""
-    if len(values) < FEWEST_READINGS or np.ptp(values) == 0.0:
+    if len(values) < _FEWEST or np.ptp(values) == 0.0:
         return None
     count = smallest_step(values)
     if _is_held(values, count):
         return "held"
     # a clock that rounds bends a smooth motion here and there
-    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= FEWEST_READINGS else None
+    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= _FEWEST else None
 
 
 def slower(
@@ -128,14 +124,6 @@ def stamped(time: Array, values: Array) -> Readings:
     """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN where it did not."""
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
-
-
-def makes_lines(count: float, bends: Array) -> bool:
-    """Return whether rounding to counts alone makes straight lines, because a count is coarse compared with the bends.
-
-    count: the size of a count. bends (n,): the distances of samples from straight lines, in the same unit.
-    """
-    return count > _SMALL_COUNT * float(np.quantile(bends, _BENT))
 
 
 def repaced(own: Readings, motion: Motion) -> Array:
@@ -183,7 +171,7 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
-    if min(len(time), len(motion)) < FEWEST_READINGS:
+    if min(len(time), len(motion)) < _FEWEST:
         return 0.0
     few = slice(None, None, -(-len(time) // _CONSTRAINTS))
     at = motion.at(time[few])
@@ -222,14 +210,14 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
 def _is_held(values: Array, count: float) -> bool:
     """Return whether values repeat while the motion changes by counts at each tick (a fast sensor's do not)."""
     changes = np.flatnonzero(np.diff(values)) + 1
-    if len(changes) < FEWEST_READINGS:
+    if len(changes) < _FEWEST:
         return False
     reach = max(2, 2 * int(np.median(np.diff(changes))))
     if len(values) <= 2 * reach:
         return False
     moved = np.abs(values[2 * reach :] - values[: -2 * reach]) / (2.0 * reach)
-    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > COUNTS_A_TICK * count]
-    return len(repeats) >= FEWEST_READINGS and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
+    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > _COUNTS * count]
+    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
 
 
 def _is_paced(ticks: NDArray[np.int64]) -> bool:
@@ -331,16 +319,16 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     bends = _bends(time, values)
     tolerance = _tolerance(values, bends, count)
     bent = bends[1:-1][bends[1:-1] > tolerance]  # of lines of ten samples hardly one in ten is
-    if not bent.size or makes_lines(count, bent):
+    most = float(np.quantile(bent, _BENT)) if bent.size else 0.0
+    if count >= _SMALL_COUNT * most:  # rounding to counts alone makes lines
         return False
-    most = float(np.quantile(bent, _BENT))
     by_chance = _AT_ZERO * tolerance / most
     # where it comes to rest by a few counts a tick, any motion is a line
     fast = np.abs(np.diff(values)) > max(tolerance, _CLEAR * count)
     moves = np.concatenate([[False], fast[1:] & fast[:-1], [False]])
     on = (bends <= tolerance) & moves
     runs = _runs(on)
-    if len(runs) < FEWEST_READINGS:
+    if len(runs) < _FEWEST:
         return False
     usual = int(np.median(runs[:, 1] - runs[:, 0]))
     # between lines of four samples there is but a corner; a smooth motion is straight where it turns the other way

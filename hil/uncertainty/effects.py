@@ -22,9 +22,7 @@ from ga.model.record import Mark, Parameter, Regressors, Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.signals.angle import difference
-from hil.signals.deflection_noise import smallest_step
 from hil.signals.rate.low_pass import transform_size
-from hil.signals.slow_channel import COUNTS_A_TICK, FEWEST_READINGS, makes_lines
 
 Array = NDArray[np.float64]
 
@@ -38,8 +36,6 @@ NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance of `reading_noise` if the deflection has white noise of variance one."""
 
 _SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
-_STRAIGHT: Final = 1e-6  # of the usual step between two torque readings, below which three lie on a line
-_SOME: Final = 0.3  # part of the torque readings, from which on their repeating, or being on lines, is no chance
 _LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
 
 
@@ -267,14 +263,6 @@ def _periodic(recorded: Recorded, _model: Array) -> list[Array]:
     return [_columns(np.cos(phase), np.sin(phase)) for phase in phases]
 
 
-def of_readings(recorded: Recorded, model: Array) -> Array:
-    """Return the torque (n, k) that errors of the sensors may add: noise of the deflection, repeated torque
-    readings.
-    """
-    held = _held(recorded, model) or _joined(recorded, model)
-    return np.concatenate([*held, *_reading_noise(recorded, model)], axis=1)
-
-
 def reading_noise(recorded: Recorded) -> Array:
     """Return the part of the deflection (n,), rad, that no smooth motion makes: its sixth difference, scaled to 1 for a
     single wrong reading of 1 rad.
@@ -287,61 +275,17 @@ def reading_noise(recorded: Recorded) -> Array:
     return found
 
 
-def _held(recorded: Recorded, model: Array) -> list[Array]:
-    """Return the torque that is missing because repeated readings are old; [] if rounding explains the repeats."""
-    fresh = np.diff(recorded.torque, prepend=np.nan) != 0.0
-    moves = np.abs(np.diff(model)) > COUNTS_A_TICK * smallest_step(recorded.torque)
-    if np.count_nonzero(moves) < FEWEST_READINGS or np.mean(~fresh[1:][moves]) < _SOME:
-        return []
-    return [_columns(_since(recorded, fresh) * recorded.slope(_smooth(recorded, model)))]
-
-
-def _joined(recorded: Recorded, model: Array) -> list[Array]:
-    """Return the torque that is missing because a slow cell's readings were joined by lines: the chord of a
-    parabola.
-    """
-    steps = np.diff(recorded.torque)
-    bends = np.abs(np.diff(steps))
-    bent = bends > _STRAIGHT * float(np.median(np.abs(steps)))
-    if np.mean(~bent) < _SOME or makes_lines(smallest_step(recorded.torque), bends):
-        return []
-    corners = np.concatenate([[True], bent, [True]])
-    before, after = _since(recorded, corners), -_since(recorded, corners, backwards=True)
-    return [_columns(0.5 * before * after * recorded.slope(recorded.slope(_smooth(recorded, model))))]
-
-
-def _since(recorded: Recorded, marked: NDArray[np.bool_], *, backwards: bool = False) -> Array:
-    """Return the time (n,), s, since the last marked sample; if `backwards`, until the next one, as a negative
-    number.
-    """
-    order = slice(None, None, -1) if backwards else slice(None)
-    marks = np.where(marked, np.arange(len(recorded)), len(recorded) - 1 if backwards else 0)[order]
-    found = np.minimum.accumulate(marks) if backwards else np.maximum.accumulate(marks)
-    return np.asarray(recorded.time - recorded.time[found[order]])
-
-
-def _reading_noise(recorded: Recorded, _model: Array) -> list[Array]:
+def of_readings(recorded: Recorded) -> Array:
+    """Return the torque (n, k) that noise of the deflection may add to the residuals, in any unit."""
     # a delay in the model takes the reading of a neighbour
     noise, smooth = (
         np.stack([recorded.delayed(values, shift * recorded.step) for shift in range(-5, 6)], axis=1)
         for values in (reading_noise(recorded), _smooth(recorded, recorded.centred()))
     )
-    return [noise - smooth @ np.linalg.lstsq(smooth, noise, rcond=None)[0]]
+    return np.asarray(noise - smooth @ np.linalg.lstsq(smooth, noise, rcond=None)[0])
 
 
 _OF_READINGS: Final = (
-    Effect(
-        "slow-cell",
-        "a torque cell that is read more slowly than the angle",
-        "record at the rate of the cell, or with the cell's own time stamps",
-        signature=_held,
-    ),
-    Effect(
-        "interpolated-cell",
-        "a slower torque cell whose readings were joined by lines",
-        "record the cell's own readings, without resampling",
-        signature=_joined,
-    ),
     Effect(
         "damping-drift",
         "a damping that changes during the recording",
@@ -358,7 +302,7 @@ _OF_READINGS: Final = (
         "deflection-noise",
         "noise or counts in the deflection",
         "use a larger amplitude or a finer encoder, or name a --model without skew",
-        signature=_reading_noise,
+        signature=lambda r, _m: [of_readings(r)],
         in_deflection=True,
     ),
 )

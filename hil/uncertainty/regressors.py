@@ -28,7 +28,7 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
         "shape": "the torque is not in proportion to deflection and rate",
         "angle": "the torque repeats with the angle",
         "time": "the torque changes with time",
-        "readings": "noise of the deflection or repeated torque readings show in the residuals",
+        "readings": "noise of the deflection shows in the residuals",
         "any": "the motion predicts the residuals",
     }
 )
@@ -60,7 +60,7 @@ def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
         "shape": _shapes(recorded, x, v, np.abs(model - np.median(model))),
         "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in _TURNS for wave in (np.cos, np.sin)], axis=1),
         "time": _in_time(recorded, x, v),
-        "readings": of_readings(recorded, model),
+        "readings": of_readings(recorded),
     }
 
 

@@ -236,29 +236,6 @@ def test_a_model_that_leaves_a_large_part_of_the_torque_is_not_trusted(friction:
     assert found.affected is None or not too_little
 
 
-@pytest.mark.parametrize(("effect", "joined"), [("slow-cell", False), ("interpolated-cell", True)])
-def test_a_torque_cell_slower_than_the_angle_is_named(effect: str, joined: bool) -> None:
-    read = np.arange(0.0, TIME[-1], 0.0125)
-    readings = np.interp(read, TIME, PLAIN) + NOISE * np.random.default_rng(0).standard_normal(len(read))
-    held = readings[np.searchsorted(read, TIME + 1e-9, side="right") - 1]
-    # the mean age of what is held is a delay, which a model has a term for
-    columns = np.column_stack([LINEAR, A])
-
-    found = judged(np.interp(TIME, read, readings) if joined else held, columns)
-
-    assert found.misfit
-    assert found.suspects[0].effect.code == effect
-
-
-def test_readings_that_repeat_as_counts_do_are_those_of_no_slower_cell() -> None:
-    count = 6e-3
-
-    found = judged(count * np.round((PLAIN + 0.1 * noise(1)) / count))
-
-    assert next(one.p for one in found.respects if one.code == "readings") > 0.1
-    assert "slow-cell" not in [one.effect.code for one in found.suspects]
-
-
 def test_outliers_do_not_hide_a_misfit() -> None:
     hit = np.random.default_rng(0).random(len(TIME)) < 0.01
 
