@@ -13,7 +13,7 @@ from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.described import Described, tested_motion
 from hil.identification.result import Estimate
-from hil.signals.torque_reading import seen_in_torque
+from hil.signals.torque_reading import long_delay
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 
@@ -28,8 +28,8 @@ def misfit_diagnostics(
     """Return the warning or error that the model does not describe its recording; [] if it does.
 
     described: the recording and its fit. model: the model's name. found: the result of the lack-of-fit tests. dynamic:
-    the dynamic stiffness. selected: whether the model was selected, and not named by the user. If the torque's readings
-    show that they were held or joined by lines, the text reports that first, and not a term that looks like it.
+    the dynamic stiffness. selected: whether the model was selected, and not named by the user. If the torque is later
+    than a model can correct, the text reports that first, and not a term that looks like it.
     """
     if found is None or found.is_undecided or not found.misfit:
         missed = _untested_motion(described, model) if selected else []
@@ -37,7 +37,7 @@ def misfit_diagnostics(
     signals = described.signals
     bounds = (one.bounds for one in TERMS.values() if one.delays and one.bounds)
     longest = max(high for own in bounds for _, high in own(signals.motion, signals.band[1]))
-    seen = seen_in_torque(signals, longest)
+    seen = long_delay(signals, longest)
     parts = [
         _respects(model, found),
         _consequence(found, described.names),
