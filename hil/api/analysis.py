@@ -201,11 +201,11 @@ def _given(recordings: Recordings | None, arrays: Mapping[str, ArrayLike | None]
     """Return the paths of the recordings, or that of a recording of the arrays. Raises WrongUse for both or neither."""
     has_arrays = any(values is not None for values in arrays.values())
     if (recordings is not None) == has_arrays:
-        raise WrongUse("give either recordings, or the arrays time=, torque= and dtheta=")
+        raise WrongUse("give either recordings, or the arrays `time`, `torque` and `dtheta`")
     if recordings is None:
         return [recorded(arrays, None if stand is None else Path(stand))]
     if stand is not None:
-        raise WrongUse("stand= belongs to arrays: a recording holds the data of its stand already")
+        raise WrongUse("`stand` belongs to arrays: a recording holds the data of its stand already")
     return _paths(recordings)
 
 

@@ -30,7 +30,7 @@ def recorded(arrays: Mapping[str, Any], stand: Path | None) -> Path:
     given = {name: _numbers(name, values) for name, values in arrays.items() if values is not None}
     missing = [name for name in ("time", "torque", "dtheta") if name not in given]
     if missing:
-        raise WrongUse(f"{' and '.join(missing)} missing: identify needs time=, torque= and dtheta=, or a recording")
+        raise WrongUse(f"{' and '.join(missing)} missing: identify needs `time`, `torque` and `dtheta`, or a recording")
     lengths = {name: len(values) for name, values in given.items()}
     if len(set(lengths.values())) > 1:
         said = ", ".join(f"{name} {length}" for name, length in lengths.items())

@@ -1,7 +1,8 @@
 """Messages of hil in the words of Python: the option `--model linear` of a command is the argument model="linear" here.
 
 A remedy is written once, with the options of the command line. In Python the same remedy is read as the options that it
-names, and each option that a function of `import hil` has as an argument is written as that argument.
+names, and each option that a function of `import hil` has as an argument is written as that argument: with its value
+as model="linear", without one as `model`. What an option prints is in Python an attribute of the result.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from typing import Any, TypeVar
 from hil.diagnostics import Diagnostic
 
 _ON_THE_COMMAND_LINE = ContextVar("on_the_command_line", default=False)
-_OTHER_NAMES = {"from": "start", "to": "end"}
+_OTHER_NAMES = {"from": "start", "to": "end", "backend": "stand"}
+_OF_A_RESULT = {"report": "`result.report(path)`", "verbose": "`result.dynamic_stiffness`"}
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -62,74 +64,88 @@ def in_python(message: str, own: Mapping[str, inspect.Parameter] = MappingProxyT
     """
     if "--" not in message or _ON_THE_COMMAND_LINE.get():
         return message
-    known = _arguments() | {name: one.default for name, one in own.items()}
+    known = {**_arguments(), **own}
     option, commands = _grammar()
 
     def written(found: re.Match[str]) -> str:
         if found["command"] is None:
-            given = [_argument(one, known) for one in option.finditer(found["alone"])]
+            given = [_argument(one, known, "`{}`") for one in option.finditer(found["alone"])]
             return found[0] if None in given else ", ".join(map(str, given))
-        given = [_argument(one, known) for one in option.finditer(found["options"])]
+        given = [_argument(one, known, "{}=...") for one in option.finditer(found["options"])]
         as_call = not found["words"] and None not in given and found["command"] in ("identify", "compare", "record")
         return f"hil.{found['command']}(..., {', '.join(map(str, given))})" if as_call else found[0]
 
     return commands.sub(written, message)
 
 
-def _argument(found: re.Match[str], known: Mapping[str, Any]) -> str | None:
-    """Return an option, and its value if the message states one, as an argument; None if it is none of `known`."""
+def _argument(found: re.Match[str], known: Mapping[str, inspect.Parameter], alone: str) -> str | None:
+    """Return an option, and its value if the message states one, as an argument; None if it is none of `known`.
+
+    alone: how an argument without a value is written.
+    """
     option, value = found[1], found[2]
     name = option.replace("-", "_")
     name = _OTHER_NAMES.get(name, name)
-    if name.startswith("no_") and known.get(name[3:]) is True:
+    if name.startswith("no_") and name[3:] in known and known[name[3:]].default is True:
         return f"{name[3:]}=False"
     if name not in known:
-        return None
-    return f"{name}=True" if known[name] is False else f"{name}={_value(value or '')}"
+        return _OF_A_RESULT.get(name)
+    if known[name].default is False:
+        return f"{name}=True"
+    is_pair = "tuple[float, float]" in str(known[name].annotation)
+    return f"{name}={_value(value, is_pair=is_pair)}" if value else alone.format(name)
 
 
-def _value(text: str) -> str:
-    """Return the value of an option as Python writes it: a number, a pair of numbers, a dictionary or a text."""
-    if not text or text.startswith("'") or re.fullmatch(_NUMBER, text):
+def _value(text: str, *, is_pair: bool) -> str:
+    """Return the value of an option as Python writes it: a number, a pair of numbers, a dictionary or texts.
+
+    is_pair: whether one number stands for a pair of equal numbers, as in `--band 2`.
+    """
+    if re.fullmatch(_NUMBER, text):
+        return f"({text}, {text})" if is_pair else text
+    if text.startswith("'"):
         return text
     name, equals, span = text.rpartition("=")
     if ":" in span and ".py:" not in span:
         pair = f"({', '.join(span.split(':'))})"
         return f'{{"{name}": {pair}}}' if equals else pair
-    return f'"{text}"'
+    return re.sub(r"(?<!\S)(?!or )[^\s,]+", r'"\g<0>"', text)
 
 
 @cache
 def _grammar() -> tuple[re.Pattern[str], re.Pattern[str]]:
     """Return the patterns of an option with its value, and of options alone or in a command of hil.
 
-    A value is a number, a range, a quoted text, a file or a name that an option takes; another word is of the sentence.
+    A value is a number, a range, a quoted text, a file, a name that an option takes or several of them ("dahl or
+    boucwen"), or a word before a colon ("--model x: unknown"); another word is of the sentence.
     """
     from drivers.servo import Quantity
     from ga.evolution.evolution import PRESETS
     from ga.model.terms import TERMS
     from hil.acquisition.excitation import EXCITATIONS
 
-    names = "|".join(sorted({"auto", *TERMS, *PRESETS, *EXCITATIONS, *Quantity}, key=len, reverse=True))
+    names = "|".join(sorted({"auto", "sim", *TERMS, *PRESETS, *EXCITATIONS, *Quantity}, key=len, reverse=True))
+    name = rf"(?:{names})(?:\+(?:{names}))*(?!\w)"
     values = (
         r"'[^']*'",
-        rf"\w+={_NUMBER}:{_NUMBER}",
+        rf"\w+=(?:{_NUMBER}:{_NUMBER}|LOW:HIGH)",
         rf"{_NUMBER}(?::{_NUMBER})?(?![\w.]*\w)",
         r"[\w/]+\.(?:py:\w+|toml|csv|h5)",
         r"[A-Z]{3,}",
-        rf"(?:{names})(?:\+(?:{names}))*(?!\w)",
+        rf"{name}(?:(?:, | or ){name})*",
+        r"[^\s:,;]+(?=: |\Z)",
     )
     option = rf"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])(?: ({'|'.join(values)}))?"
-    plain = option.replace("([a-z][a-z-]*[a-z])", "[a-z][a-z-]*[a-z]").replace("(?: (", "(?: (?:")
+    plain = option.replace("([a-z][a-z-]*[a-z])", "[a-z][a-z-]*[a-z]").replace("(?: (", "(?: (?:").replace("|\\Z", "")
     alone = rf"(?P<alone>{plain}(?: {plain})*)"
     command = rf"\bhil (?P<command>[a-z]+)(?P<words>(?: [^\s,;:`()-][^\s,;:`()]*)*)(?P<options>(?: {plain})+)"
     return re.compile(option), re.compile(f"{command}|{alone}")
 
 
 @cache
-def _arguments() -> dict[str, Any]:
-    """Return the arguments of the functions that record and identify, each with its default value."""
+def _arguments() -> dict[str, inspect.Parameter]:
+    """Return the arguments of the functions that record and identify, by name."""
     from hil import compare, design, identify, record
 
     functions = (identify, compare, design, record)
-    return {one.name: one.default for each in functions for one in inspect.signature(each).parameters.values()}
+    return {one.name: one for each in functions for one in inspect.signature(each).parameters.values()}

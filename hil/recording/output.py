@@ -114,7 +114,7 @@ def check_unfinished(path: Path) -> None:
             check_ended(part)
             raise WrongUse(
                 f"{part} is a recording that never ended: keep it with `hil recover {quoted(part)}`, choose another "
-                "name with -o, or remove it with `hil record --force`"
+                "name with --output, or remove it with `hil record --force`"
             )
 
 
@@ -154,7 +154,7 @@ def _locked_alone(part: Path) -> int | None:
     except BlockingIOError:
         os.close(file)
         raise WrongUse(
-            f"{part} is being recorded or read at this moment: wait for it, or choose another name with -o"
+            f"{part} is being recorded or read at this moment: wait for it, or choose another name with --output"
         ) from None
     except OSError:
         pass  # the filesystem knows no locks, so nobody can have one

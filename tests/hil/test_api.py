@@ -99,11 +99,13 @@ def test_statistics_of_a_recording_leave_lost_rows_out(make_recording: Maker) ->
     ("message", "said"),
     [
         ("unknown --preset 'x'", "unknown preset='x'"),
-        ("try --model linear+skew.", 'try model="linear+skew".'),
-        ("name a --model without skew", "name a model= without skew"),
+        ("try --model linear+skew or dahl, or", 'try model="linear+skew" or "dahl", or'),
+        ("name a --model without skew", "name a `model` without skew"),
         ("write --bounds Kc=0.01:5: or", 'write bounds={"Kc": (0.01, 5)}: or'),
         ("(--mode torque --profile chirp)", '(mode="torque", profile="chirp")'),
-        ("between --from and --to, --band 0.1:15", "between start= and end=, band=(0.1, 15)"),
+        ("from --from to --to, --band 0.1:15 or --band 2", "from `start` to `end`, band=(0.1, 15) or band=(2, 2)"),
+        ("--model x+y: unknown; faults are of --backend sim", 'model="x+y": unknown; faults are of stand="sim"'),
+        ("see --report; hil identify --model", "see `result.report(path)`; hil.identify(..., model=...)"),
         ("hil record --no-guardian goes without it", "hil.record(..., guardian=False) goes without it"),
         ("`hil record --force` replaces it", "`hil.record(..., force=True)` replaces it"),
         ("run hil doctor --move, or hil identify a.h5 --model auto", None),
@@ -137,14 +139,14 @@ def test_errors_and_warnings_of_functions_name_no_option(make_recording: Maker) 
     found = api.identify(path, "linear", trials=1)
     doubt = Diagnostic("misfit", "leave a term out of --model", is_error=True)
     found = api.IdentificationResult(replace(found.identification, diagnostics=(doubt,)))
-    assert found.diagnostics[0].message == "leave a term out of model="
-    assert "error [misfit]: leave a term out of model=" in found.summary()
+    assert found.diagnostics[0].message == "leave a term out of `model`"
+    assert "error [misfit]: leave a term out of `model`" in found.summary()
     assert "--" not in found.summary()
     time = np.arange(600) / 500.0
     still = path.with_name("still.h5")
     write(still, Header(profile={"kind": "sine"}), {"time": time, "torque": np.sin(time), "dtheta": 0.0 * time})
     [left] = api.identify_each([still], "linear")
-    assert "(amplitude=)" in str(left)
+    assert "(`amplitude`)" in str(left)
 
 
 @pytest.mark.study
