@@ -12,7 +12,7 @@
     overlay: new Plots.Loop("overlay-plot"),
   };
   let table = { stands: [], recordings: [], profiles: {} }, first = 0;
-  let job = null, starting = false, store = null, dirty = false, pressed = 0, link = null, lost = false, agree = null;
+  let job = null, starting = false, store = null, drawing = 0, pressed = 0, link = null, lost = false, agree = null;
   let finished = -1, output = "", predicting = 0, timer = 0, traced = "", began = 0;
 
   // ---- small things
@@ -137,7 +137,7 @@
     link = new WebSocket(`ws://${location.host}/api/stream`);
     link.binaryType = "arraybuffer";
     link.onopen = () => { store = null; if (lost) { lost = false; say(""); } };
-    link.onmessage = ({ data }) => { if (typeof data === "string") told(JSON.parse(data)); else { if (store) { store.add(Plots.unpacked(data)); dirty = true; } else { first_frame(data); } } };
+    link.onmessage = ({ data }) => { if (typeof data === "string") told(JSON.parse(data)); else rows(data); };
     link.onclose = () => {
       if (moving() || lost) {
         const left = job && job.live ? ` It ends by itself in about ${Math.ceil(job.live.left)} s.` : "";
@@ -148,11 +148,10 @@
     };
   }
 
-  function first_frame(data) {
-    const frame = Plots.unpacked(data);
-    store = new Plots.Store(WINDOW * 10000);
-    store.add(frame);
-    dirty = true;
+  function rows(data) {
+    store = store || new Plots.Store(WINDOW * 10000);
+    store.add(Plots.unpacked(data));
+    drawing = drawing || requestAnimationFrame(draw);  // not where nothing is new, nor in a hidden tab
   }
 
   function told(state) {
@@ -244,8 +243,8 @@
   }
 
   function draw() {
-    if (dirty && store) {
-      dirty = false;
+    drawing = 0;
+    if (store) {
       const { planned: rate, mode } = (job && job.live) || { planned: 500 }, [time, command, torque, dtheta] = store.newest(Math.ceil(WINDOW * rate));
       const byTorque = mode !== "position";
       plots.torque.show(byTorque ? [time, command, torque] : [time, torque], byTorque ? ["set-point", "torque"] : ["torque"]);
@@ -253,7 +252,6 @@
       const few = Math.min(time.length, 4 * plots.loop.width), from = time.length - few;
       plots.loop.show([[dtheta.subarray(from), torque.subarray(from)]]);
     }
-    requestAnimationFrame(draw);
   }
 
   // ---- the preview of a run
@@ -323,7 +321,7 @@
 
   // ---- what a person does
   const clicks = {
-    stop, start, "to-record": () => go("record"), no: () => at("question").close(),
+    start, "to-record": () => go("record"), no: () => at("question").close(),
     yes: () => { at("question").close(); agree(); },
     check: () => begin({ kind: "doctor", stand: chosenStand() }),
     readings: () => begin({ kind: "readings", stand: chosenStand() }),
@@ -337,6 +335,8 @@
 
   Object.entries(clicks).forEach(([id, act]) => at(id).addEventListener("click", () => act()));
   document.querySelectorAll("nav button").forEach((one) => one.addEventListener("click", () => go(one.dataset.step)));
+  at("stop").addEventListener("pointerdown", stop);  // a click comes only when the button is let go, a tenth of a second later
+  at("stop").addEventListener("click", (event) => { if (!event.detail) stop(); });  // of a key or a screen reader
   at("stands").addEventListener("change", () => { at("commission").disabled = stand().simulated; });
   at("excitation").addEventListener("input", predict);
   at("excitation").addEventListener("submit", (event) => event.preventDefault());
@@ -359,7 +359,6 @@
     } else await refresh();
     go("stand");
     connect();
-    requestAnimationFrame(draw);
   }
   enter().catch((error) => say(error.message));
 })();
