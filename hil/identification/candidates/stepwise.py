@@ -235,7 +235,10 @@ class _Steps:
         """Return whether the preview `seen` fits better than the chosen model by as much as Akaike's criterion
         requires.
         """
-        return self.criterion.gained(self.fits.fitness(chosen.terms) - seen.fitness) > AKAIKE
+        return self._gains(self.fits.fitness(chosen.terms), seen)
+
+    def _gains(self, fitness: float, seen: Fit) -> bool:
+        return self.criterion.gained(fitness - seen.fitness) > AKAIKE
 
     def _larger(self, smaller: Candidate) -> Candidate | None:
         """Return the model with one more term; None if no term improves the score.
@@ -257,8 +260,9 @@ class _Steps:
         return self.criterion.likeliest(smaller, paying) if paying else None
 
     def _beyond(self, terms: tuple[str, ...]) -> dict[tuple[str, ...], Fit]:
-        """Return the models with one more term, in the last place, that fit the preview better, each with its preview.
+        """Return the models with one more term, in the last place, that may improve the score, each with its preview.
 
+        One that gains less in its preview than Akaike's criterion asks would be fitted to all samples in vain.
         A rare term may replace the terms that it excludes. If rare terms are considered, a term is added together with
         the terms that it needs: a gap without an offset shows little of either.
         """
@@ -266,7 +270,7 @@ class _Steps:
         for term in self.considered:
             larger = with_another(terms, term, complete=bool(self.rare))
             more = self.fits.preview(larger) if term not in terms and is_addable(term, larger[:-1]) else None
-            if less is not None and more is not None and more.fitness < less.fitness:
+            if less is not None and more is not None and self._gains(less.fitness, more):
                 found[larger] = more
         return found
 
