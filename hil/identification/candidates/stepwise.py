@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -114,7 +114,7 @@ def select(
         return Selection(usual, steps, late)
     if describes(Selection(usual), True):
         return Selection(late.instead_of_skew(usual), steps, late)
-    likely = _likeliest(fits, rarer, tuple(dict.fromkeys(steps.passed)))
+    likely = _likeliest(fits, rarer, (smallest, usual.terms))
     steps = steps.with_rarer(likely, rarer)
     richer = steps.plainest(steps.forward(fits.candidate(smallest)))
     if set(rarer).intersection(richer.terms) and not describes(Selection(richer), True):
@@ -135,7 +135,7 @@ class _Steps:
     model without them describes the recording. is_enough: a function that returns whether a model with a rare term
     describes the recording. If it does, a further term must be common and explain more torque than all errors of
     deflection and rate, to which the term would otherwise be fitted. beside: terms that no step includes, but with
-    which the chosen model is compared. passed: the models that the steps included on the way.
+    which the chosen model is compared.
     """
 
     fits: Fits
@@ -145,7 +145,6 @@ class _Steps:
     rare: tuple[str, ...] = ()
     is_enough: Callable[[Selection], bool] = lambda _selection: False
     beside: tuple[str, ...] = ()
-    passed: list[tuple[str, ...]] = field(default_factory=list, init=False)
     _enough: dict[Candidate, bool] = field(default_factory=dict, init=False)
 
     def with_rarer(self, likely: tuple[str, ...], rarer: tuple[str, ...]) -> _Steps:
@@ -156,7 +155,9 @@ class _Steps:
         """
         likely = tuple(dict.fromkeys(likely))
         considered = (*(term for term in self.considered if term not in self.rare), *likely)
-        noise = criterion_of(self.fits, considered, self.criterion.richest, doubted=True)
+        # the common terms of the richest model were found before
+        noise = criterion_of(self.fits, likely, self.criterion.richest, doubted=True)
+        noise = replace(noise, choices=len(considered))
         small = tuple(term for term in rarer if term not in likely and TERMS[term].linear)
         return _Steps(self.fits, noise, considered, _LIKELY, likely, self.is_enough, small)
 
@@ -165,17 +166,13 @@ class _Steps:
         help.
         """
         seen: set[frozenset[str]] = set()
-        self.passed.append(chosen.terms)
         while (larger := self._larger(chosen)) is not None:
             seen.add(frozenset(chosen.terms))
             larger = self._pruned(larger)
             if frozenset(larger.terms) in seen:
                 break  # the new term replaced one that it needs: this would repeat for ever
             chosen = larger
-            self.passed.append(chosen.terms)
-        chosen = self._predicting(self._pruned(chosen))
-        self.passed.append(chosen.terms)
-        return chosen
+        return self._predicting(self._pruned(chosen))
 
     def plainest(self, chosen: Candidate) -> Candidate:
         """Return the model with a plainer law of the same effect in place of a rare one, if the data cannot rank the
