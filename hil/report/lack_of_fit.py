@@ -21,7 +21,7 @@ def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
         return None
     return {
         "misfit": found.misfit,
-        "outside_interval": found.outside,
+        "outside_interval": bool(found.outside),
         "predicted_share": found.share,
         "Kc": found.Kc,
         "Bc": found.Bc,

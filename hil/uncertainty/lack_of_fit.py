@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hil.signals.constants import ACCURATE, FEWEST
 from hil.signals.deflection_noise import skew_by_noise
+from hil.uncertainty.criteria import COUPLING
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
 from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
@@ -128,7 +129,7 @@ class _Tests:
             suspects=suspects,
             Kc=float(sizes[0]),
             Bc=float(sizes[1]),
-            outside=self._is_outside(sizes),
+            outside=self._outside(sizes),
             samples=len(self._recorded),
             lags=lags,
             correlation=correlation,
@@ -282,9 +283,10 @@ class _Tests:
         own = self._scale * alone
         return np.asarray(np.divide(torque, own, out=np.zeros(2), where=own > 0.0))
 
-    def _is_outside(self, sizes: Array) -> bool:
+    def _outside(self, sizes: Array) -> tuple[str, ...]:
         scale = self._scale
-        return bool((sizes * scale > np.maximum(self._fitted.half_width, ACCURATE * scale)).any())
+        beyond = sizes * scale > np.maximum(self._fitted.half_width, ACCURATE * scale)
+        return tuple(name for name, is_beyond in zip(COUPLING, beyond.tolist(), strict=True) if is_beyond)
 
     def _correlation(self) -> tuple[Array, Array]:
         """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""

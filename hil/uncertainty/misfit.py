@@ -80,12 +80,12 @@ class LackOfFit:
     deflection explains the prediction. in_step: whether noise explains the prediction only because rounding repeats
     with the motion; the size of the misfit is then included in the intervals. Kc, Bc: the size of the misfit, relative:
     the largest change by a suspect, or half the difference between parts; without either, the change that would give
-    the predicted torque. outside: whether that change leaves the interval of Kc or Bc. at_zero: half the intervals of
-    Kc and Bc, SI, if their values are zero, because changes are then relative to these; else 0. at_jumps: the stiffness
-    that the model lacks in the samples beside jumps of the acceleration, to which it was not fitted; None if nothing
-    relevant. An effect visible only there has no size in Kc and Bc. correlation (l, 2): the correlation of the
-    residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in cells of deflection (rows,
-    rising) and rate (columns, rising) with equal numbers of samples; NaN in empty cells.
+    the predicted torque. outside: those of the names Kc and Bc that this change takes out of their interval. at_zero:
+    half the intervals of Kc and Bc, SI, if their values are zero, because changes are then relative to these; else 0.
+    at_jumps: the stiffness that the model lacks in the samples beside jumps of the acceleration, to which it was not
+    fitted; None if nothing relevant. An effect visible only there has no size in Kc and Bc. correlation (l, 2): the
+    correlation of the residuals with deflection and rate, `lags` (l,) s earlier. plane: mean residual, N m, in cells of
+    deflection (rows, rising) and rate (columns, rising) with equal numbers of samples; NaN in empty cells.
     """
 
     respects: tuple[Respect, ...]
@@ -93,7 +93,7 @@ class LackOfFit:
     suspects: tuple[Suspect, ...]
     Kc: float
     Bc: float
-    outside: bool
+    outside: tuple[str, ...]
     samples: int
     lags: Array
     correlation: Array
@@ -139,10 +139,11 @@ class LackOfFit:
 
     @property
     def affected(self) -> str | None:
-        """Return the parameter, Kc or Bc, that the misfit changes by a relevant amount; None if both change, or
-        neither.
+        """Return the parameter, Kc or Bc, that the misfit takes out of its interval by a relevant amount, or else
+        changes by one; None if both change, or neither.
         """
-        return self._grave[0] if len(self._grave) == 1 and not self.is_of_another_joint else None
+        worst = self._refused or self._grave
+        return worst[0] if len(worst) == 1 and not self.is_of_another_joint else None
 
     @property
     def is_grave(self) -> bool:
@@ -150,7 +151,7 @@ class LackOfFit:
 
         True also for the model of another joint, whose intervals have no meaning.
         """
-        return self.is_of_another_joint or (self.outside and bool(self._grave))
+        return self.is_of_another_joint or bool(self._refused)
 
     @property
     def explains_too_little(self) -> bool:
@@ -166,6 +167,10 @@ class LackOfFit:
     def _grave(self) -> list[str]:
         sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(RELEVANT), strict=True)
         return [name for name, size, most in sizes if size > most]
+
+    @property
+    def _refused(self) -> list[str]:
+        return [name for name in self._grave if name in self.outside]
 
     def _limits(self, relative: tuple[float, float]) -> tuple[float, float]:
         """Return the largest relative changes of Kc and Bc that are not relevant; for a value of zero, relative to half
@@ -201,7 +206,7 @@ class LackOfFit:
             return self.share >= _PLAIN and self.unexplained > ACCURATE and not self._is_harmless
         if self._is_vague:
             return False
-        return self.outside or (self.share >= _SHARE and not self._is_harmless)
+        return bool(self.outside) or (self.share >= _SHARE and not self._is_harmless)
 
     @property
     def is_undecided(self) -> bool:

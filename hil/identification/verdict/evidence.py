@@ -256,7 +256,8 @@ def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Est
     sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
     lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
     is_said = fit is not None and fit.misfit and fit.is_grave
-    return tuple(_wider(one, lacks[one.name], is_said=is_said) for one in found)
+    said = (fit.affected or one.name for one in found) if fit is not None and is_said else ("" for _ in found)
+    return tuple(_wider(one, lacks[one.name], is_said=name == one.name) for one, name in zip(found, said, strict=True))
 
 
 def _wider(one: Estimate, lack: float, *, is_said: bool) -> Estimate:

@@ -36,7 +36,8 @@ def beside_doubtful_terms(
     changes = [[abs(after.Kc - before.Kc), abs(after.Bc - before.Bc)] for before, after in doubtful]
     for name, one, size in zip(("Kc", "Bc"), found, (max(sizes) for sizes in zip(*changes, strict=True)), strict=False):
         if one.value and size > abs(one.value) * getattr(fit, name):
-            fit = replace(fit, outside=fit.outside or size > one.half_width, **{name: size / abs(one.value)})
+            outside = {*fit.outside, name} if size > one.half_width else fit.outside
+            fit = replace(fit, outside=tuple(outside), **{name: size / abs(one.value)})
     return fit
 
 

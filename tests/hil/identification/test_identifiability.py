@@ -629,7 +629,7 @@ def test_a_dead_band_pulled_to_one_end_only_is_no_spring_of_half_the_stiffness(m
     assert high - low < 0.002 or not found.trusted("Kc")
 
 
-def lack_of_fit(kc: float, *, outside: bool) -> LackOfFit:
+def lack_of_fit(kc: float, *, outside: tuple[str, ...] = ()) -> LackOfFit:
     """A model that leaves out what moves Kc by a part of its value, which the motion shows beyond any doubt."""
     failed = (Respect("memory", "the torque depends on the earlier motion", 1e-6),)
     suspects = (Suspect(effect_of("drift"), 0.5, kc, 0.0),)
@@ -641,7 +641,7 @@ def lack_of_fit(kc: float, *, outside: bool) -> LackOfFit:
 def test_what_a_model_leaves_out_may_make_the_interval_of_kc_too_wide(lack: float, known: bool) -> None:
     """With 5 % given the model, 30 and 40 % are below and above the 35 % that an interval may have."""
     before = (estimate("Kc", 0.02, 0.001), FOUND[1])
-    found = with_misfit(before, lack_of_fit(lack, outside=False))
+    found = with_misfit(before, lack_of_fit(lack))
 
     assert found[0].half_width == pytest.approx((0.05 + lack) * 0.02)
     assert [one.identifiable for one in found] == [known, True]
@@ -652,7 +652,7 @@ def test_what_a_model_leaves_out_may_make_the_interval_of_kc_too_wide(lack: floa
 
 def test_a_misfit_that_is_an_error_by_itself_needs_no_other() -> None:
     before = (estimate("Kc", 0.02, 0.001), FOUND[1])
-    found = with_misfit(before, lack_of_fit(0.35, outside=True))
+    found = with_misfit(before, lack_of_fit(0.35, outside=("Kc",)))
 
     assert found[0].half_width == pytest.approx(0.4 * 0.02)
     assert lost_by_misfit(before, found) == []
@@ -702,12 +702,12 @@ def test_a_term_that_explains_less_than_a_misfit_leaves_is_a_part_of_its_size(be
         replace(step("stribeck", 2.2e-4, included=True), fitness=1e-4),
     )
     found = (FOUND[0], estimate("Bc", 2.2e-4, 1e-6))
-    fit = replace(lack_of_fit(0.01, outside=False), predicted=3e-5, Bc=0.002)
+    fit = replace(lack_of_fit(0.01), predicted=3e-5, Bc=0.002)
     judged = beside_doubtful_terms(fit, steps, found)
 
     assert judged is not None
     assert judged.Bc == pytest.approx(size, rel=0.1)
-    assert judged.outside == (size > 0.01)
+    assert judged.outside == (("Bc",) if size > 0.01 else ())
     assert judged.Kc == fit.Kc
     assert beside_doubtful_terms(None, steps, found) is None
     described = replace(fit, respects=(), unexplained=0.0)

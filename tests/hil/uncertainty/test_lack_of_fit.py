@@ -128,7 +128,7 @@ def test_a_misfit_below_what_the_torque_is_ever_right_to_widens_the_interval_by_
 
 
 def test_a_trace_that_no_effect_and_no_part_confirms_is_in_the_intervals_and_no_misfit() -> None:
-    found = replace(judged(WRONG["capstan"] + noise(1)), share=0.004, Kc=2e-3, Bc=8e-3, outside=True)
+    found = replace(judged(WRONG["capstan"] + noise(1)), share=0.004, Kc=2e-3, Bc=8e-3, outside=("Kc", "Bc"))
     unnamed = tuple(one for one in found.respects if one.Kc is None)
 
     trace = replace(found, suspects=(), respects=unnamed)
@@ -160,6 +160,16 @@ def test_a_misfit_that_errors_hardly_explain_is_known_from_the_first_of_them() -
     assert found.is_far_beyond_noise(next_to_nothing)
     assert found.beside_noise(np.full(4, next_to_nothing)) == replace(found, of_noise=False)
     assert not found.is_far_beyond_noise(0.1 * found.predicted**2)
+
+
+def test_a_misfit_refuses_only_the_parameter_that_it_takes_out_of_its_interval() -> None:
+    found = replace(judged(WRONG["capstan"] + noise(1)), Kc=0.02, Bc=0.1, unexplained=0.02)
+
+    refused = {outside: replace(found, outside=outside) for outside in ((), ("Kc",), ("Bc",), ("Kc", "Bc"))}
+
+    assert [one.is_grave for one in refused.values()] == [False, True, True, True]
+    assert [one.affected for one in refused.values()] == [None, "Kc", "Bc", None]
+    assert not replace(found, Kc=2e-3, outside=("Kc",)).is_grave  # which is irrelevant, and Bc is in its interval
 
 
 def test_errors_that_explain_a_misfit_only_by_chance_excuse_none_that_would_move_kc_by_much() -> None:
@@ -275,7 +285,7 @@ def test_a_misfit_of_a_damping_of_zero_is_held_against_its_interval(half: float,
     found = lack_of_fit(Recorded(TIME, torque, X, V), Fitted(residuals, LINEAR, (0, 1), (KC, 0.0), (1.0, half)))
 
     assert found is not None
-    assert found.outside is outside
+    assert found.outside == (("Bc",) if outside else ())
     assert found.at_zero == (0.0, half)
     assert found.Bc * half > 3e-4
     assert found.is_grave is outside
