@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import NEARLY_ALL, SPREAD, TURN
+from hil.signals.constants import MANY, NEARLY_ALL, SPREAD, TURN
 
 Array = NDArray[np.float64]
 
 _FAR = 1.5  # times the range of the angle
-_NEAR = 0.1  # of a jump, by which one may differ from another, and that any other step may be
-_RARE = 0.05  # of the steps may be jumps
+_NEAR = 0.1  # of a jump or of a wrong reading's distance, that other steps and its neighbours may have
 _SMALL = 0.25  # of a turn, up to which a joint may move between two readings
 _SEVERAL = 3  # jumps, from which a range that is no turn is certain
 _USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
@@ -19,8 +18,6 @@ _LONGEST = 0.5  # s without any change, from which on a reading may be frozen
 _MOVED = 0.3  # of the torque's range, that nearly all of it covers while the reading is frozen
 _ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
 _BESIDE = 65  # readings around one, by which that distance is usual there; a burst has fewer
-_ALONE = 0.1  # of its distance, that the neighbours' may be once it is put right
-_FEW = 0.01  # of the readings may be wrong
 _SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
@@ -62,7 +59,7 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
     """Return the range of the encoder, rad, that explains all these jumps (n,) among the steps (n,) of an angle; 0 if
     none does.
     """
-    if not jumps.any() or np.count_nonzero(jumps) > _RARE * len(steps):
+    if not jumps.any() or np.count_nonzero(jumps) > MANY * len(steps):
         return 0.0
     # the joint moved on during the jump, as it did before
     places = np.flatnonzero(jumps)
@@ -103,12 +100,12 @@ def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
         return wrong
     far = far[(far >= 2) & (far < len(off) - 2)]
     around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
-    far = far[np.abs(around).max(axis=1, initial=0.0) < _ALONE * np.abs(off[far])]
+    far = far[np.abs(around).max(axis=1, initial=0.0) < _NEAR * np.abs(off[far])]
     # stamps that jitter move every reading of a fast motion, and some of them alone
     first = np.clip(far - _BESIDE // 2, 0, max(len(off) - _BESIDE, 0))
     beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
     wrong[far[np.abs(off[far]) > _ODD * SPREAD * np.median(beside, axis=1)] + 2] = True
-    return wrong if np.count_nonzero(wrong) <= _FEW * len(angle) else np.zeros_like(wrong)
+    return wrong if np.count_nonzero(wrong) <= MANY * len(angle) else np.zeros_like(wrong)
 
 
 def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -166,7 +163,7 @@ def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
         first = min(part.start, int(changes[np.searchsorted(changes, part.start + 1, "right") - 1]))
         last = max(part.stop, int(changes[np.searchsorted(changes, part.stop - 2, "right")]))
         wrong[first:last] = jumps and stays and last - first < _BESIDE
-    return wrong if np.count_nonzero(wrong) <= _RARE * len(angle) else np.zeros_like(wrong)
+    return wrong if np.count_nonzero(wrong) <= MANY * len(angle) else np.zeros_like(wrong)
 
 
 def far_zero(angle: Array) -> float:

@@ -51,3 +51,18 @@ RELEVANT: Final = (5e-3, 0.03)
 
 FEWEST: Final = 16
 """The smallest number of samples, or of parts of a recording, from which anything is concluded."""
+
+MOST: Final = 0.9
+"""The quantile of a quantity that stands for its large values, without the few largest."""
+
+MANY: Final = 0.05
+"""The part of the samples from which a fault is one of the whole recording, and not of single samples."""
+
+TESTED: Final = 20_000
+"""The number of samples to which the costly tests of a fit are limited."""
+
+PREDICTED: Final = 0.02
+"""The part of the residuals' power below which what the motion predicts of them is of no size."""
+
+FALSE_ALARMS: Final = 0.002
+"""The probability that a test finds an effect or a difference that does not exist."""

@@ -15,7 +15,7 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import bursts, frozen, spikes
-from hil.signals.constants import FEWEST
+from hil.signals.constants import FEWEST, MOST
 from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
@@ -186,7 +186,7 @@ def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
     """
     levels, counts = np.unique(torque, return_counts=True)
     below, step = counts[-_BELOW:-1], np.diff(levels[-_BELOW:])
-    low, high = np.quantile(dtheta, (0.1, 0.9))
+    low, high = np.quantile(dtheta, (1.0 - MOST, MOST))
     return bool(
         len(below) and counts[-1] > _TOP_HEAVY * below.max() and slope * (high - low) > _BEYOND * float(np.median(step))
     )

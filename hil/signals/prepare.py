@@ -35,7 +35,7 @@ from hil.stand.transmission import Transmission
 
 Array = NDArray[np.float64]
 
-_PROBE = 1 << 20  # rows from which the columns to read and the windows are chosen
+_PROBE = 1_000_000  # rows from which the columns to read and the windows are chosen
 _MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
 
 

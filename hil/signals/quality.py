@@ -12,7 +12,7 @@ from drivers.servo import Status
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
-from hil.signals.constants import GAIN_ERROR, SPREAD
+from hil.signals.constants import ENOUGH, GAIN_ERROR, MANY, SPREAD
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
@@ -28,10 +28,8 @@ Array = NDArray[np.float64]
 _FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the result
 _POOR_SNR = 20.0  # dB
 _NOTABLE = 0.01  # share of rows that are lost or saturated, above which Kc and Bc may suffer
-_MANY_JERKED = 0.05
 _SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
 _UNSURE = 0.1  # of a tick, from which the age of readings is uncertain
-_ROWS = 1 << 20  # rows of the status read at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +175,7 @@ def _unknown_rates(defects: Defects, rows: int, *, imported: bool) -> list[Diagn
             f"{defects.near_gaps} rows beside a gap lack rate or acceleration and are not used: record without a pause"
         )
         found.append(Diagnostic("unknown-rate", gaps))
-    if defects.jerked > _MANY_JERKED * rows:
+    if defects.jerked > MANY * rows:
         smoother = again(
             "Drive a multisine or a chirp, or read the sensors more often", "--profile, --rate", imported=imported
         )
@@ -237,8 +235,8 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
     """Return the number of rows with each of the flags: saturated and late."""
     counts = [0] * len(flags)
-    for start in range(0, len(recording), _ROWS):
-        status = recording.channel("status", start, start + _ROWS).astype(np.int64)
+    for start in range(0, len(recording), ENOUGH):
+        status = recording.channel("status", start, start + ENOUGH).astype(np.int64)
         counts = [count + int(np.count_nonzero(status & int(flag))) for count, flag in zip(counts, flags, strict=True)]
     return counts
 

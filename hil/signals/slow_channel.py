@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.constants import BLOCKS, NEARLY_ALL, SPREAD, SURE
+from hil.signals.constants import BLOCKS, MOST, NEARLY_ALL, SPREAD, SURE
 from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
@@ -45,7 +45,6 @@ _SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
 _LINES: Final = 0.1  # part of the samples on a line with both neighbours: fewer by chance
 _ROUGH: Final = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
 _ROUNDED_UP: Final = 0.02  # part of the samples whose bends lie between both, from which they are rounded so
-_BENT: Final = 0.9  # quantile of the bends that is a usual one
 _AT_ZERO: Final = 1.31  # part of normal bends that is below a small part of that quantile, per part
 _BEYOND_CHANCE: Final = 2.0  # times what random bends have of lines, that lines make up at least
 _CORNER: Final = 5  # samples around a corner, within which a line begins or ends
@@ -319,7 +318,7 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     bends = _bends(time, values)
     tolerance = _tolerance(values, bends, count)
     bent = bends[1:-1][bends[1:-1] > tolerance]  # of lines of ten samples hardly one in ten is
-    most = float(np.quantile(bent, _BENT)) if bent.size else 0.0
+    most = float(np.quantile(bent, MOST)) if bent.size else 0.0
     if count >= _SMALL_COUNT * most:  # rounding to counts alone makes lines
         return False
     by_chance = _AT_ZERO * tolerance / most

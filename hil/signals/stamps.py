@@ -7,11 +7,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ENOUGH
+from hil.signals.constants import ENOUGH, MANY
 
 Array = NDArray[np.float64]
 
-_MANY = 0.05  # share of repeated stamps above which a clock is coarse, and of missing rows from which a gap is a pause
 _UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
 # s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
 _ROWS = 20  # over which the usual pace is taken: more than a burst has
@@ -30,7 +29,7 @@ def pieces(time: Array) -> list[slice]:
     """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause."""
     steps = np.diff(time)
     usual = float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else np.inf
-    ends = np.flatnonzero(steps > usual * max(APART, _MANY * len(time))) + 1
+    ends = np.flatnonzero(steps > usual * max(APART, MANY * len(time))) + 1
     return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time)])]
 
 
@@ -55,7 +54,7 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
         return time, False
     near = _together(time)
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > near)))
-    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > _MANY * len(time)
+    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > MANY * len(time)
     if even is not time or len(starts) == len(time):
         return even, coarse
     rows = np.arange(len(time), dtype=np.float64)
@@ -75,7 +74,7 @@ def _together(time: Array) -> float:
     time = time[:ENOUGH]
     steps = np.diff(time)
     near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
-    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > _MANY
+    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > MANY
     return near if near and are_bursts else 0.0
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import ENOUGH
+
 Array = NDArray[np.float64]
 Block = tuple[Array, Array]
 Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 """A function that gets row numbers (m,) and returns which of these rows are kept."""
-
-_COUNTED = 1 << 18  # row numbers at a time: those of all rows would not fit in memory either
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class Blocks:
 
     def where(self, keep: Keep) -> Blocks:
         """Return the rows whose numbers the function `keep` selects."""
-        starts = range(0, self.rows, _COUNTED)
-        rows = sum(int(keep(np.arange(at, min(at + _COUNTED, self.rows))).sum()) for at in starts)
+        starts = range(0, self.rows, ENOUGH)
+        rows = sum(int(keep(np.arange(at, min(at + ENOUGH, self.rows))).sum()) for at in starts)
         return Blocks(rows, lambda: self._selected(keep))
 
     def between(self, start: int, stop: int) -> Blocks:

@@ -26,9 +26,12 @@ from hil.signals.rate.low_pass import transform_size
 
 Array = NDArray[np.float64]
 
-_CONSTANTS: Final = tuple(np.geomspace(0.003, 0.3, 5).tolist())  # s, of a Maxwell branch
-_PARTS: Final = tuple(np.geomspace(0.02, 0.8, 4).tolist())  # of the largest deflection, over which friction acts
-_GAPS: Final = tuple(np.geomspace(0.01, 0.8, 9).tolist())  # of it, over which a gap may be open
+TIMES: Final = tuple(np.geomspace(0.002, 0.2, 6).tolist())
+"""The times at which an effect of the earlier motion is looked for, s."""
+
+LENGTHS: Final = tuple(np.geomspace(0.01, 0.8, 9).tolist())
+"""The lengths at which a gap or presliding friction is looked for, as parts of the largest deflection."""
+
 _SMALL: Final = 0.05  # part of the samples, those with the smallest torque
 _SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
 _SIXTH: Final = difference(6)
@@ -212,11 +215,11 @@ def _grid(recorded: Recorded, parameter: Parameter) -> tuple[float, ...]:
     """Return the values of a nonlinear parameter at which its effect is looked for; a place is the middle itself."""
     reach, shortest = recorded.reach(), 2.0 * recorded.step
     if parameter.kind == "relaxation time":
-        return tuple(constant for constant in _CONSTANTS if constant > shortest)
+        return tuple(constant for constant in TIMES if constant > shortest)
     if parameter.kind == "presliding length":
-        return tuple(part * reach for part in _PARTS)
+        return tuple(part * reach for part in LENGTHS[1::2])
     if parameter.kind == "gap width":
-        return tuple(2.0 * part * reach for part in _GAPS)
+        return tuple(2.0 * part * reach for part in LENGTHS)
     return (0.0 if parameter.place else max(_LAG, shortest),)
 
 

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ACCURATE, FEWEST
+from hil.signals.constants import ACCURATE, FEWEST, TESTED
 from hil.signals.deflection_noise import skew_by_noise
 from hil.uncertainty.criteria import COUPLING
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
@@ -28,7 +28,6 @@ from hil.uncertainty.scores import SHORTEST, Scores
 Array = NDArray[np.float64]
 
 _EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
-_LIMIT: Final = 20_000  # samples that are looked at
 _DENSE: Final = 40.0  # samples a period that are enough
 _AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
 _EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
@@ -302,17 +301,17 @@ class _Tests:
 
 
 def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
-    """Return a recording and its fit with at most about `_LIMIT` samples: every n-th sample, or pieces spread over the
+    """Return a recording and its fit with at most about `TESTED` samples: every n-th sample, or pieces spread over the
     recording.
     """
-    if len(recorded) <= _LIMIT:
+    if len(recorded) <= TESTED:
         return recorded, fitted
     speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
     dense = 2.0 * np.pi / (speed * recorded.step * _DENSE) if speed > 0.0 else 1.0
-    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // _LIMIT, int(dense))))
+    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // TESTED, int(dense))))
     starts: set[int] = set()
-    if len(rows) > _LIMIT:
-        length = _LIMIT // FEWEST
+    if len(rows) > TESTED:
+        length = TESTED // FEWEST
         firsts = np.linspace(0, len(rows) - length, FEWEST).astype(int)
         rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
         starts = set(range(0, len(rows), length))

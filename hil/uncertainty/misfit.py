@@ -11,15 +11,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ACCURATE, RELEVANT
+from hil.signals.constants import ACCURATE, FALSE_ALARMS, PREDICTED, RELEVANT
 from hil.uncertainty.effects import Effect
 
 Array = NDArray[np.float64]
 
-FALSE_ALARMS: Final = 0.002
-"""The probability that any test rejects a model that is right."""
-
-_SHARE: Final = 0.02  # of the residuals' power, below which what is predicted is of no size
 _SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
 _PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
 _OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
@@ -129,7 +125,7 @@ class LackOfFit:
         doubled.
         """
         left = self.predicted**2 - added / _AGAIN
-        return left < min(_SHARE / self.share, _OF_NOISE) * self.predicted**2
+        return left < min(PREDICTED / self.share, _OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
         """Return whether errors of the motion explain almost nothing of the prediction. added: the power, (N m)^2, that
@@ -206,7 +202,7 @@ class LackOfFit:
             return self.share >= _PLAIN and self.unexplained > ACCURATE and not self._is_harmless
         if self._is_vague:
             return False
-        return bool(self.outside) or (self.share >= _SHARE and not self._is_harmless)
+        return bool(self.outside) or (self.share >= PREDICTED and not self._is_harmless)
 
     @property
     def is_undecided(self) -> bool:
@@ -235,7 +231,7 @@ class LackOfFit:
         without a warning.
         """
         vague = not self.suspects and all(one.Kc is None for one in self.failed)
-        return bool(self.failed) and not self.of_noise and self.share < _SHARE and vague and not self._grave
+        return bool(self.failed) and not self.of_noise and self.share < PREDICTED and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:

@@ -9,14 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.uncertainty.effects import Recorded, of_readings
+from hil.uncertainty.effects import LENGTHS, TIMES, Recorded, of_readings
 
 Array = NDArray[np.float64]
 
-_LAGS: Final = tuple(np.geomspace(0.002, 0.2, 6).tolist())  # s
 _TURNS: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # of a wave over half the range of the angle
 _CELLS: Final = 7  # a side of the plane of deflection and rate
-_PRESLIDING: Final = (0.03, 0.2)  # of the largest deflection
 
 NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -65,8 +63,8 @@ def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
 
 
 def _of_before(recorded: Recorded, x: Array, v: Array) -> Array:
-    step, early = recorded.step, -_LAGS[1]  # readings that were interpolated know what comes
-    lags = [*(lag for lag in _LAGS if lag >= step), -step, step, early]
+    step, early = recorded.step, -TIMES[1]  # readings that were interpolated know what comes
+    lags = [*(lag for lag in TIMES if lag >= step), -step, step, early]
     delayed = [recorded.delayed(values, lag) for values in (x, v) for lag in lags]
     return np.stack([*delayed, recorded.slope(v)], axis=1)
 
@@ -76,7 +74,7 @@ def _shapes(recorded: Recorded, x: Array, v: Array, carried: Array) -> Array:
     powers = [np.ones_like(x), np.abs(x), x * x, x**3, x**5, np.abs(v), v * v, v * np.abs(v), v**3]
     products = [x * v, np.abs(x) * v, x * x * v, x * v * v]
     friction = [sign, np.abs(x) * sign, x * x * sign, carried * sign]
-    return np.stack([*powers, *products, *friction, *(recorded.presliding(p * reach) for p in _PRESLIDING)], axis=1)
+    return np.stack([*powers, *products, *friction, *(recorded.presliding(p * reach) for p in LENGTHS[2:7:4])], axis=1)
 
 
 def _in_time(recorded: Recorded, x: Array, v: Array) -> Array:

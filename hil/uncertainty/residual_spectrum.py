@@ -26,7 +26,7 @@ from hil.signals.constants import DEPENDENT
 
 Array = NDArray[np.float64]
 
-_LONGEST = 1 << 15  # samples of a segment: residuals further apart count as uncorrelated
+_LONGEST = 32_768  # samples of a segment: residuals further apart count as uncorrelated
 _FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
 _WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
 _SLOW, _NEXT = np.maximum(np.arange(_FEWEST), 1), np.arange(_FEWEST, 2 * _FEWEST)  # lines of the two lowest bands

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import NORMAL, RELEVANT
+from hil.signals.constants import FALSE_ALARMS, NORMAL, RELEVANT
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
 from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
@@ -21,7 +21,6 @@ from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
 
-_CHANCE = 0.001  # that recordings which do not differ are so far apart
 _OF_ERROR = 0.5  # of the mean error of the fit, from which another zero makes a part of it
 _OTHERS = {True: "the others", False: "the other one"}
 _PARTS = 4  # of a recording, each of which gives its own estimate of Kc
@@ -154,7 +153,7 @@ def _differ(one: VarianceComponents) -> bool:
     """Return whether the values of the recordings are further apart than chance explains. one: the variance
     components.
     """
-    return one.p_alike <= _CHANCE and one.between > BETWEEN * one.within
+    return one.p_alike <= FALSE_ALARMS and one.between > BETWEEN * one.within
 
 
 def _most_apart(values: Array) -> tuple[int, float]:

@@ -7,10 +7,9 @@ import numpy as np
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.described import Described
 from hil.identification.verdict.misfit import percent
+from hil.signals.constants import TESTED
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.misfit import LackOfFit
-
-_ROWS = 20_000  # samples, of which it is seen how much of a column others can make
 
 
 def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Diagnostic]:
@@ -46,7 +45,7 @@ def outweighed_spring(described: Described, found: LackOfFit | None) -> list[Dia
 def _carried(described: Described) -> float:
     """Return the r.m.s. torque of the spring, N m, after projecting out the columns of the other parameters."""
     at = described.names.index("Kc")
-    columns = described.columns[:: max(1, len(described.columns) // _ROWS)]
+    columns = described.columns[:: max(1, len(described.columns) // TESTED)]
     others, own = np.delete(columns, at, axis=1), columns[:, at]
     sizes = np.linalg.norm(others, axis=0)
     others = others[:, sizes > 0.0] / sizes[sizes > 0.0]

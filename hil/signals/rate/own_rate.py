@@ -16,15 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import ENOUGH, SURE
+from hil.signals.constants import ENOUGH, PREDICTED, RELEVANT, SURE
 from hil.signals.stamps import APART
 
 Array = NDArray[np.float64]
 
-_PHASE: Final = 5e-3  # rad at the upper end of the band, and of the rate's size, that Kc and Bc do not feel
 _LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
 _FINE: Final = 16  # lags a side that are tried first
-_NOISIER: Final = 0.02  # of the residuals' power, from which the tests of the fit see it
 _ALIKE: Final = 0.95  # correlation of two rates' errors, from which they are the same
 _EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count as independent
 
@@ -118,8 +116,8 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     turning = np.gradient(known[1], known[0])[inside]
     independent = max(1.0, min(float(len(time)), _EFFECTIVE * highest * float(time[-1] - time[0])))
     error = np.sqrt(rest / len(time) / independent)  # of a rate of 1 rad/s, coloured as the band is
-    late = abs(lag) > max(_PHASE / (2.0 * np.pi * highest), SURE * error / float(np.sqrt(np.mean(turning**2))))
-    other = abs(size - 1.0) > max(_PHASE, SURE * error / float(np.sqrt(power / len(time))))
+    late = abs(lag) > max(RELEVANT[0] / (2.0 * np.pi * highest), SURE * error / float(np.sqrt(np.mean(turning**2))))
+    other = abs(size - 1.0) > max(RELEVANT[0], SURE * error / float(np.sqrt(power / len(time))))
     return OwnRate(lag, size) if late or other else None
 
 
@@ -146,4 +144,4 @@ def _noisy(torque: Array, dtheta: Array, given: Array, derived: Array) -> OwnRat
 
     by_given, by_derived = left(given), left(derived)
     more = by_given / by_derived - 1.0 if by_derived > 0.0 else 0.0
-    return OwnRate(0.0, 1.0, more) if more > _NOISIER else None
+    return OwnRate(0.0, 1.0, more) if more > PREDICTED else None

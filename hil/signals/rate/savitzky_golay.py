@@ -40,7 +40,7 @@ _SINGULAR: Final = 1e-14
 long gap.
 """
 
-_PART: Final = 1 << 15
+_PART: Final = 32_768
 """The number of samples that a thread processes at a time."""
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import GAIN_ERROR
+from hil.signals.constants import GAIN_ERROR, MOST
 from hil.signals.stamps import mean_step, pieces
 
 Array = NDArray[np.float64]
@@ -17,7 +17,6 @@ _SHARE = 0.01  # of the power of the deflection below the band, and of the rate 
 _MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
 _CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
 _COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
-_MAIN = 0.9  # of the rate's power: the motion, without its ripple
 _RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
 _RISES = 7.0  # times the least density between them, which that of ripple reaches
 _TAPER = 0.02  # of a recording at each end
@@ -116,7 +115,7 @@ class Spectrum:
     @property
     def main(self) -> float:
         """Return the frequency, Hz, up to which the joint moves, without ripple; infinite if it does not move."""
-        return self._upper_end(self._excited, _MAIN) if self._excited.any() else np.inf
+        return self._upper_end(self._excited, MOST) if self._excited.any() else np.inf
 
     def rises_beyond(self, main: float) -> float:
         """Return the frequency, Hz, above which the density is far higher than just above the motion.

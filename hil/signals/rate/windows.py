@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion, beyond_noise
-from hil.signals.constants import ENOUGH, GAIN_ERROR, ROUNDING, SPREAD
+from hil.signals.constants import ENOUGH, GAIN_ERROR, MOST, ROUNDING, SPREAD
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.rate.low_pass import STOPPED, LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, widest
@@ -26,7 +26,6 @@ RATE_ACCURACY = 0.5 * (GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that b
 _HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
 _UNSEEN = 0.5  # of that, where it follows from the motion: the tests of the fit see 2 % of the residuals' power
 _FELT = 0.05  # of the torque's own noise, that smoothing may take off the torque of an inertia
-_FAST = 0.9  # quantile of the speed above which a sample is a fast one
 _NARROWEST = 6  # samples on each side of a window
 _WIDEST = 250  # samples on each side of a window
 _OTHERS = (9, 12)  # samples on each side of windows, at most, beside which another shows where the rate is wrong
@@ -34,7 +33,9 @@ _WIDER = (1, 3)  # samples more on each side of them than on each side of that o
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 _SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
 _PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
-_NARROWER = 0.8  # of a window, the next that is tried
+NARROWER = 0.8
+"""The ratio of a window's width to that of the next wider one that is tried."""
+
 _FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 
 
@@ -153,7 +154,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     hidden = _hidden(seen, torque[some], of_torque)
     read = Read(torque[some], seen.dtheta, seen.dtheta_dot, seen.dtheta_ddot, step)
     rate, left = rate[known], left[known]
-    fast = np.abs(rate) >= np.quantile(np.abs(rate), _FAST)  # there wrong time stamps make noise too
+    fast = np.abs(rate) >= np.quantile(np.abs(rate), MOST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
     of_deflection = max(own_noise(min(noise, floor), read.dtheta, read.torque), rounding)
     slope = max(
@@ -222,7 +223,7 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
     step = float(np.median(np.diff(time)))
     found, whole = local_polynomial(time, dtheta, half, order), _whole(time, half, step)
     while half > _NARROWEST and whole.any():
-        less = max(_NARROWEST, int(_NARROWER * half))
+        less = max(_NARROWEST, int(NARROWER * half))
         narrower = local_polynomial(time, dtheta, less, order)
         more_noise = noise**2 * (_amplified(less, step, order) ** 2 - _amplified(half, step, order) ** 2)
         if float(np.mean((narrower - found)[whole] ** 2)) <= 2.0 * more_noise:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
-from hil.signals.constants import CLIPPED, NORMAL, SPREAD, SURE
+from hil.signals.constants import CLIPPED, NORMAL, SPREAD, SURE, TESTED
 from hil.signals.rate.windows import Window
 
 Array = NDArray[np.float64]
 
-_SAMPLES: Final = 40_000  # in a row, that are looked at
 _MATTERS: Final = 0.1  # of half an interval, from which a change is made
 
 
@@ -46,8 +45,8 @@ class Fitted:
     def part(self) -> Fitted:
         """Return the fit on consecutive samples from the middle of the recording."""
         whole, places = self.motion.whole
-        first = max(0, (len(whole) - _SAMPLES) // 2)
-        motion = replace(whole.of(slice(first, first + _SAMPLES)), part_of=None)
+        first = max(0, (len(whole) - TESTED) // 2)
+        motion = replace(whole.of(slice(first, first + TESTED)), part_of=None)
         motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
         rows = np.arange(len(whole))[places] - first
         inside = (rows >= 0) & (rows < len(motion))

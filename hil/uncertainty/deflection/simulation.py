@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from ga.model.trajectory import Motion
 from hil.signals.constants import NORMAL, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
-from hil.signals.rate.windows import Window, is_smooth
+from hil.signals.rate.windows import NARROWER, Window, is_smooth
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
 
 Array = NDArray[np.float64]
 
 _PAIRS: Final = 4  # of simulated errors, of either sign
 _LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
-_WIDER: Final = 1.25  # of a window, the next wider one, whose rate beside a jerk is wrong by as much more
 _IN_STEP: Final = 2.5  # times their scatter in any other order, from which roundings go with the motion
 
 
@@ -128,7 +127,7 @@ def _smoothed_away(motion: Motion, window: Window) -> Array:
     first, second = np.zeros((2, len(motion)))
     if window.low_pass is not None:  # flat up to where the deflection's noise hides all
         return first
-    wider = [max(window.slope + more, int(_WIDER**more * window.slope)) for more in (1, 2)]
+    wider = [max(window.slope + more, int(window.slope / NARROWER**more)) for more in (1, 2)]
     for part in stretches(motion):
         inside = slice(part.start + wider[1], part.stop - wider[1])
         if inside.stop > inside.start:
@@ -136,6 +135,6 @@ def _smoothed_away(motion: Motion, window: Window) -> Array:
             once, twice = (np.nan_to_num(rate)[wider[1] : -wider[1]] for rate in near)
             first[inside], second[inside] = motion.dtheta_dot[inside] - once, once - twice
     ratio = float(first @ second) / max(float(second @ second), 1e-300)
-    ratio = min(max(ratio, 0.0), 1.0 / _WIDER)
+    ratio = min(max(ratio, 0.0), NARROWER)
     sure = is_smooth(motion, window)  # no test looks at the others
     return np.asarray(np.where(sure, ratio / (1.0 - ratio) * first, 0.0))
