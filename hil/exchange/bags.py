@@ -32,7 +32,6 @@ UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
 _DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
 _DATABASE = b"SQLite format 3\0"  # at the begin of one
-_MOST_FILES = 10_000
 _NO_TABLES = """
     SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%'
     UNION ALL SELECT 'generated column', x.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS x
@@ -53,18 +52,19 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     topic: None if the bag has only one topic of joint states, or is an export of hil. joint: None if the joint states
     have one joint. Raises WrongUse, with the list of topics or joints in the bag.
     """
-    rosbags = _rosbags(source)
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise WrongUse(f"{source}: a ROS 2 bag needs rosbags: pip install 'hil[ros]', or use CSV") from None
 
     def _columns() -> dict[str, Array]:
-        for path in _files(source):
-            with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
-                is_database = file.read(len(_DATABASE)) == _DATABASE
-            if is_database:
-                _check_tables(path)
+        _check_files(source)
         try:
-            with rosbags.AnyReader([source], default_typestore=rosbags.typestore) as reader:
+            # the types are for bags that do not hold the definitions of their messages
+            with AnyReader([source], default_typestore=get_typestore(Stores.LATEST)) as reader:
                 return _read(source, reader, topic, joint)
-        except rosbags.Error as error:
+        except AnyReaderError as error:
             if "Profile" not in str(error):
                 raise
             raise WrongUse(
@@ -75,40 +75,19 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     return bounded(source, _columns)
 
 
-class _Library:
-    """The parts of the library rosbags that this module uses."""
-
-    def __init__(self) -> None:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-
-        self.AnyReader, self.Error = AnyReader, AnyReaderError
-        self.typestore = get_typestore(Stores.LATEST)  # for bags that do not hold the definitions of their messages
-
-
-def _rosbags(source: Path) -> _Library:
-    try:
-        return _Library()
-    except ImportError:
-        raise WrongUse(f"{source}: a ROS 2 bag needs rosbags: pip install 'hil[ros]', or use CSV") from None
-
-
-def _files(source: Path) -> list[Path]:
-    if not source.is_dir():
-        return [source]
-    if not (source / _DESCRIPTION).is_file():
-        raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")
-    found = [path for path in source.iterdir() if not path.is_dir() and _may_be_read(path)]
-    if len(found) > _MOST_FILES:
-        raise WrongUse(f"{source} holds {len(found)} files: check the name")
-    return found
-
-
-def _may_be_read(path: Path) -> bool:
-    """Return whether rosbags may read this file of a bag's folder: the folder's metadata.yaml may name a file of any
-    suffix.
+def _check_files(source: Path) -> None:
+    """Raise WrongUse for a file of a bag that rosbags must not open: its description may name any file of its folder,
+    so that a FIFO would be waited for.
     """
-    return path.suffix in SUFFIXES or not path.is_file() or path.stat().st_size > 0
+    if source.is_dir() and not (source / _DESCRIPTION).is_file():
+        raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")
+    for path in source.iterdir() if source.is_dir() else [source]:
+        if path.suffix not in SUFFIXES and (path.is_dir() or (path.is_file() and not path.stat().st_size)):
+            continue
+        with open_input(path, largest=_DESCRIBED if path.name == _DESCRIPTION else _LARGEST) as file:
+            is_database = file.read(len(_DATABASE)) == _DATABASE
+        if is_database:
+            _check_tables(path)
 
 
 def _check_tables(path: Path) -> None:

@@ -6,6 +6,7 @@ import csv
 import gzip
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -56,25 +57,22 @@ def format_of(target: Path, given: str | None) -> str:
 
     Raises WrongUse for an unknown format, and if the suffix contradicts `given`.
     """
-    of_name = next((name for name, suffixes in _suffixes().items() if target.name.lower().endswith(suffixes)), None)
-    known = ", ".join(f"{name} ({', '.join(suffixes)})" for name, suffixes in _suffixes().items())
-    if given is not None and given not in _suffixes():
-        raise WrongUse(f"unknown --format {given!r}: {meant(given, _suffixes())}known are {known}")
+    suffixes = {name: one.suffixes for name, one in TABLES.items()}
+    suffixes |= {name: (one.suffix,) for name, one in models.FORMATS.items()}
+    of_name = next((name for name, ends in suffixes.items() if target.name.lower().endswith(ends)), None)
+    known = ", ".join(f"{name} ({', '.join(ends)})" for name, ends in suffixes.items())
+    if given is not None and given not in suffixes:
+        raise WrongUse(f"unknown --format {given!r}: {meant(given, suffixes)}known are {known}")
     if of_name is None:
         what = f"--format {given}" if given else "an export"
-        wanted = " or ".join(_suffixes()[given]) if given else f"one of {known}"
+        wanted = " or ".join(suffixes[given]) if given else f"one of {known}"
         raise WrongUse(f"{target}: the name of {what} ends in {wanted}: name the output so")
     if given is not None and given != of_name:
         raise WrongUse(
             f"{target} says {of_name} by its name, and --format says {given}: name the output "
-            f"{target.with_suffix(_suffixes()[given][0])}, or omit --format"
+            f"{target.with_suffix(suffixes[given][0])}, or omit --format"
         )
     return of_name
-
-
-def _suffixes() -> dict[str, tuple[str, ...]]:
-    tables = {name: one.suffixes for name, one in TABLES.items()}
-    return tables | {name: (one.suffix,) for name, one in models.FORMATS.items()}
 
 
 def export(given: Given, target: Path, *, force: bool = False) -> int:
@@ -148,7 +146,9 @@ def _write_mcap(recording: Recording, target: Path) -> None:
     """Write two messages for each row: a joint state, which every ROS tool shows, and a sample with all channels."""
     from mcap_ros2.writer import Writer
 
-    start = _started(recording)
+    start = 0  # ns since 1970, if the recording does not say when it was made
+    with suppress(ValueError):
+        start = int(datetime.fromisoformat(str(recording.attributes.get("created", ""))).timestamp()) * 10**9
     with target.open("wb") as file:
         writer: Any = Writer(file)
         states = writer.register_msgdef(JOINT_STATE, _STATES)
@@ -165,9 +165,7 @@ def _write_mcap(recording: Recording, target: Path) -> None:
 
 def _stamp(start: int, time: float, last: int) -> int:
     """Return the time stamp of a row, ns since 1970; the stamp `last` if the row has no time. Raises WrongUse."""
-    if not math.isfinite(time):
-        return last
-    stamp = start + round(time * 1e9)
+    stamp = start + round(time * 1e9) if math.isfinite(time) else last
     if not 0 <= stamp < _LATEST:
         raise WrongUse(f"a row has the time {time:.3g} s, which a time stamp of ROS cannot hold: export it as CSV")
     return stamp
@@ -176,21 +174,9 @@ def _stamp(start: int, time: float, last: int) -> int:
 def _state(sample: Mapping[str, float], stamp: int) -> dict[str, Any]:
     """Return a row as a joint state: the deflection as position, its rate as velocity, the torque as effort."""
     seconds, nanoseconds = divmod(stamp, 10**9)
-    return {
-        "header": {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""},
-        "name": [JOINT],
-        "position": [sample["dtheta"]],
-        "velocity": [sample["dtheta_dot"]],
-        "effort": [sample["torque"]],
-    }
-
-
-def _started(recording: Recording) -> int:
-    """Return the time at which the recording was made, ns since 1970; 0 if the recording does not say."""
-    try:
-        return int(datetime.fromisoformat(str(recording.attributes.get("created", ""))).timestamp()) * 10**9
-    except ValueError:
-        return 0
+    fields = {"position": "dtheta", "velocity": "dtheta_dot", "effort": "torque"}
+    header = {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": ""}
+    return {"header": header, "name": [JOINT], **{field: [sample[name]] for field, name in fields.items()}}
 
 
 TABLES: Mapping[str, TableFormat] = MappingProxyType(
