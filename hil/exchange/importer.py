@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.exchange import signs, stamps
+from hil.exchange import mending
 from hil.exchange.columns import Table, open_table
 from hil.exchange.headings import heading, listed
 from hil.exchange.join import Join, joined, side
@@ -56,7 +56,7 @@ class Imported:
 
 
 class _Read(NamedTuple):
-    """The channels of a table in SI, (n,) each, in the order of time; the numbers of their rows (n,); the unit of each
+    """The channels of a table in SI, (n,) each; the numbers of their rows (n,); the unit of each
     channel's column, and the factor of the unit to SI; and what was mended.
     """
 
@@ -150,17 +150,29 @@ def _of_two(first: Table, join: Join, columns: Mapping[str, Column], where: Sequ
 def _channels(
     table: Table, columns: Mapping[str, Column], where: Sequence[RowFilter], *, one_clock: bool = False
 ) -> _Read:
-    """Return the channels of a table. columns: {} for an export of hil. one_clock: whether a clock that was set is
-    refused.
+    """Return the channels of a table in the order of time. columns: {} for an export of hil. one_clock: whether a clock
+    that was set is refused.
+    """
+    found = _in_si(table, columns, where)
+    if "command" in columns:
+        found.channels["command"] = _held(found.channels["command"])
+    channels, rows, twice = _once(found.channels, found.rows)
+    if columns:
+        channels, rows = _with_readings(table.source, channels, rows)
+    unit = found.factors.get("time", 1.0)
+    channels, rows, mended = mending.in_order(table.source, channels, rows, unit, one_clock=one_clock)
+    return _Read(channels, rows, found.units, found.factors, [*found.mended, *twice, *mended])
+
+
+def _in_si(table: Table, columns: Mapping[str, Column], where: Sequence[RowFilter]) -> _Read:
+    """Return the channels of a table in the order in which they are written. columns: {} for an export of hil.
+
+    Raises WrongUse for a column without a number or a known unit, and for a wrong row.
     """
     known = {channel: parts_of(table, channel, column) for channel, column in columns.items()}
     parts = {channel: found for channel, (_, found) in known.items()} or _own(table)
     titles = list(dict.fromkeys(part.title for found in parts.values() for part in found))
     numbers, rows = table.read(titles, where)
-    if "command" in columns:
-        of_command = titles.index(parts["command"][0].title)
-        numbers[of_command] = _held(numbers[of_command])
-    numbers, rows, twice = _once(titles.index(parts["time"][0].title), numbers, rows)
     raw = dict(zip(titles, numbers, strict=True))
     channels, used, factors = {name: raw[found[0].title] for name, found in parts.items()}, dict[str, str](), {}
     _check_numbers(table.source, known, raw)
@@ -169,11 +181,8 @@ def _channels(
         used[channel] = found[0].unit or si if len(found) == 1 else si
         factors[channel] = units.factor(dimension, used[channel])
         weights = [part.factor * units.factor(dimension, part.unit or si) for part in found]
-        channels[channel] = weights @ np.stack([signs.decoded(raw[part.title], code) for part in found])
-    if columns:
-        channels, rows = _with_readings(table.source, channels, rows)
-    channels, rows, mended = stamps.mended(table.source, channels, rows, factors.get("time", 1.0), one_clock=one_clock)
-    return _Read(channels, rows, used, factors, [*table.lost, *twice, *mended])
+        channels[channel] = weights @ np.stack([mending.decoded(raw[part.title], code) for part in found])
+    return _Read(channels, rows, used, factors, list(table.lost))
 
 
 def _own(table: Table) -> dict[str, list[Part]]:
@@ -195,17 +204,18 @@ def _held(command: Array) -> Array:
     return np.where(last >= 0, command[last], np.nan)
 
 
-def _once(time: int, numbers: Array, rows: Rows) -> tuple[Array, Rows, list[str]]:
+def _once(channels: dict[str, Array], rows: Rows) -> tuple[dict[str, Array], Rows, list[str]]:
     """Remove rows that a logger wrote twice; otherwise they would be used as samples at different times.
 
     If a coarse clock gives many rows the same time, rows with equal readings are not removed: a joint at rest has equal
     readings.
     """
-    kept = np.concatenate([[True], (numbers[:, 1:] != numbers[:, :-1]).any(axis=0)])
-    twice, times = len(rows) - np.count_nonzero(kept), numbers[time, kept]
+    kept = np.append(True, np.any([values[1:] != values[:-1] for values in channels.values()], axis=0))
+    twice, times = len(rows) - np.count_nonzero(kept), channels["time"][kept]
     if not twice or np.count_nonzero(times[1:] == times[:-1]) > _COARSE * len(rows):
-        return numbers, rows, []
-    return numbers[:, kept], rows[kept], [f"{twice} of {len(rows)} rows repeat the row before and are left out"]
+        return channels, rows, []
+    said = f"{twice} of {len(rows)} rows repeat the row before and are left out"
+    return {name: values[kept] for name, values in channels.items()}, rows[kept], [said]
 
 
 def _check_numbers(source: Path, known: Mapping[str, tuple[str, list[Part]]], raw: Mapping[str, Array]) -> None:
@@ -252,9 +262,9 @@ def _refuse_unsigned(source: Path, found: _Read, columns: Mapping[str, Column]) 
         return
     sizes = [columns[one].scale * found.factors[one] for one in pair]
     raw = [found.channels[one] / size for one, size in zip(pair, sizes, strict=True)]
-    codes = signs.recognised(raw[0], raw[1])
+    codes = mending.recognised(raw[0], raw[1])
     for channel, option, values, size, code in zip(pair, ("torque", "dtheta"), raw, sizes, codes, strict=True):
-        turns = signs.size_of(code) * abs(size) / math.tau if code.startswith("wrap") else 0.0
+        turns = mending.size_of(code) * abs(size) / math.tau if code.startswith("wrap") else 0.0
         is_turn = option == "dtheta" and math.isclose(turns, 1.0, rel_tol=_WHOLE)
         if code != "none" and not is_turn and columns[channel].code is None:
             what = "torque" if option == "torque" else "angle"

@@ -42,7 +42,7 @@ class Column:
 
     name: of the column, or a sum of columns. unit: None: the unit in the heading ("tau [mN m]", "tau_mNm", "tau/mNm").
     scale: a further factor on the values; -1 inverts the sign. code: how the numbers have their sign, as in
-    `signs.decoded`; None: they are refused if they lack it.
+    `mending.decoded`; None: they are refused if they lack it.
     """
 
     name: str
