@@ -15,11 +15,12 @@ import numpy as np
 
 from ga.model.memory import without_beginnings
 from ga.model.record import Parameter, Regressors, Term
+from ga.model.seen import Seen, reaches
 from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.terms import TERMS, canonical, lacking
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Hashable, Iterator
 
     from numpy.typing import NDArray
 
@@ -35,40 +36,6 @@ SMALLEST: Final = 1e-3
 """STEP: the change of a nonlinear parameter for a numerical derivative, as a fraction of the parameter. For a parameter
 that may be zero, SMALLEST, SI, replaces the parameter in this product if it is larger.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """The motion (n,) from which the torque is computed, and its regressors.
-
-    motion: all samples if a torque cell filters the torque, else the samples that are requested. near: the regressors
-    of the motion. whole: the regressors of all samples, if the torque of a term depends on other samples too; else
-    equal to `near`.
-    """
-
-    motion: Motion
-    near: Regressors
-    whole: Regressors
-
-    @property
-    def is_whole(self) -> bool:
-        """Return whether no term needs samples outside the motion."""
-        return self.whole is self.near
-
-    def passed(self, column: Array, *, bends: bool) -> Array:
-        """Return a column (m,) of all samples at the samples of the motion (n,), filtered as the torque was.
-
-        bends: whether the column is no linear filter of the motion; only such a column must be filtered.
-        """
-        whole, rows = self.motion.whole
-        if bends and self.motion.behind is not None:
-            return whole.filtered(column)[rows]
-        return column if self.is_whole else column[rows]
-
-    def changing(self, delay: float) -> tuple[Motion, Motion]:
-        """Return the time derivatives, per second, of the motion and of the whole motion."""
-        near = self.motion.changing(delay)
-        return near, near if self.is_whole else self.motion.whole[0].changing(delay)
 
 
 @dataclass(frozen=True)
@@ -251,7 +218,7 @@ class CouplingModel:
         beside[:, at] = np.maximum(ends, 0.0) if parameter.positive else ends
         return beside
 
-    def _torque(self, motion: Motion, seen: _Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
+    def _torque(self, motion: Motion, seen: Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
         """Return the torque (n,), N m, of a motion, including the part explained by unknown initial states.
 
         seen: regressors with the same delay, if known.
@@ -279,20 +246,20 @@ class CouplingModel:
         """Return each term that has nonlinear parameters, with their values out of the model's (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
-    def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: _Seen | None = None) -> _Seen:
+    def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: Seen | None = None) -> Seen:
         """Return the regressors for parameters (q,). delayed: regressors for other parameters with the same delay."""
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = self._through_cell(motion, nonlinear)
         shown = delayed.near.motion if delayed else motion.delayed(delay)
-        reach = (_reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
+        reach = (reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
         if motion is whole or not any(reach):
             near = self._regressors(motion, shown, nonlinear, lag)
-            return _Seen(motion, near, near)
+            return Seen(motion, near, near)
         all_shown = delayed.whole.motion if delayed else whole.delayed(delay)
         every = self._regressors(whole, all_shown, nonlinear, lag)
         if self._load_remembers:
-            return _Seen(motion, every.of(motion.whole[1], shown), every)
-        return _Seen(motion, self._regressors(motion, shown, nonlinear, lag), every)
+            return Seen(motion, every.of(motion.whole[1], shown), every)
+        return Seen(motion, self._regressors(motion, shown, nonlinear, lag), every)
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """Return a torque (m,) or columns (m, p) after the torque cell's filter, at the samples of the motion (n,).
@@ -325,19 +292,23 @@ class CouplingModel:
         """Return the regressors of the delayed motion, before a gap or a slack is applied."""
         angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
         damped = not any(term.spares_dampers for term in self.terms)
+        moved: list[Hashable] = [lag if self.needs_ratio else 0.0]
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
             if term.smooths:
                 softness = float(values[0])
+            if term.remaining is not None or term.contact is not None or term.load is not None:
+                moved += [term.name, values.tobytes()]
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
                 own = term.contact(angle, seen, lag)
                 angle, contact = angle * own, contact * own
             if term.load is not None:
                 load = term.load(angle, seen, lag, softness, values)
-        elapsed = motion.time - (self.origin or 0.0)
-        return Regressors(elapsed, seen, angle, contact, load, damped, softness, self.middle or 0.0, np.empty(0))
+        elapsed, middle = motion.time - (self.origin or 0.0), self.middle or 0.0
+        key = (self.origin, middle, softness), tuple(moved)
+        return Regressors(elapsed, seen, angle, contact, load, damped, softness, middle, np.empty(0), key)
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
         """Yield each term, whether its torque is no linear filter of the motion, and its values out of (q,).
@@ -360,29 +331,10 @@ class CouplingModel:
             at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
-    def _stacked(self, seen: _Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
+    def _stacked(self, seen: Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
         """Return the columns (n, p) of all terms; with `changing`, their time derivatives."""
-        columns: list[Array] = []
-        for term, bends, values in self._present(nonlinear):
-            reaches = _reaches(seen.motion, term, bends=bends)
-            own = seen.whole if reaches else seen.near
-            own = replace(own, own=values) if len(values) else own  # thousands of times in a selection
-            found: tuple[Array, ...] = ()
-            if term.columns is not None and changing is None:
-                found = term.columns(own)
-            elif term.rates is not None and changing is not None:
-                found = term.rates(own, changing[reaches])
-            elif term.columns is not None and changing is not None:
-                moved = changing[reaches].dtheta * own.contact
-                found = (term.pushed(own, np.ones(1), moved) if term.pushed else np.zeros_like(moved),)
-            found = tuple(own.loaded(term, *pair) for pair in zip(found, term.parameters, strict=False))
-            columns += [seen.passed(column, bends=bends) for column in found] if reaches else found
+        columns = seen.columns(self._present(nonlinear), changing)
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
-
-
-def _reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
-    """Return whether a term's torque depends on other samples, through a state of the term or the torque's filter."""
-    return term.forgets is not None or (bends and motion.behind is not None)
 
 
 def parse(name: str) -> CouplingModel:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Hashable, Iterable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -110,6 +110,7 @@ class Regressors:
     factor by which friction in proportion to the load multiplies the torque of springs; None without such friction.
     damped: whether this factor multiplies the torque of dampers too. smoothing: v_s of friction, rad/s. middle: the
     time in the middle of the recording, s. own: the nonlinear parameters of the term whose columns are computed.
+    key: all that the signals depend on besides the motion, and what angle, contact and load depend on too.
     """
 
     time: Array
@@ -121,6 +122,7 @@ class Regressors:
     smoothing: float
     middle: float
     own: Array
+    key: tuple[Hashable, Hashable] = ((), ())
 
     def of(self, rows: NDArray[np.int64] | slice, motion: Motion) -> Regressors:
         """Return the regressors at the samples `rows`. motion: the motion at these samples."""
@@ -241,3 +243,8 @@ class Term:
     def carried(self) -> bool:
         """Return whether the torque of the term is part of the carried torque, which friction multiplies."""
         return self.role in {"coupling", "damping", "curve", "change", "branch"}
+
+    @property
+    def uses_deflection(self) -> bool:
+        """Return whether its columns may depend on the deflection beyond a gap, and so on the gap."""
+        return self.carried or self.role == "other"

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from ga.model.cache import PARTS, SMALL, columns_of, keep, kept, recalled
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Hashable, Sequence
 
     from numpy.typing import NDArray
 
@@ -18,15 +20,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-K = TypeVar("K")
-V = TypeVar("V")
-
 
 class Filter(Protocol):
     """The filter that the readings of torque and angle went through, the same for all.
 
     longest_step: the longest time between two samples, s, at which the filter is possible. of_every: returns the filter
-    for a signal with only every n-th sample.
+    for a signal with only every n-th sample. passing: returns a function that filters values (n,) or (k, n).
     """
 
     @property
@@ -64,9 +63,6 @@ size.
 _FEWEST: Final = 50
 """The smallest number of samples of each piece in a coarser motion."""
 
-_MOST_KEPT: Final = 2
-"""The number of delays, and the number of models with their parameters, whose results are cached."""
-
 _PARTS: Final = ("dtheta", "dtheta_dot", "dtheta_ddot", "known")
 
 
@@ -93,6 +89,8 @@ class Motion:
     behind: Filter | None = None
     _late: dict[float, Motion] = field(default_factory=dict, init=False, repr=False)
     _begun: dict[tuple[str, bytes], Beginnings] = field(default_factory=dict, init=False, repr=False)
+    _columns: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False)
+    _parts: dict[bytes, Motion] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -103,8 +101,9 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for another process, without the cached filters, because functions cannot be sent."""
-        return {name: value for name, value in self.__dict__.items() if name != "_filters"}
+        """Return the state for another process, without what is cached: functions cannot be sent."""
+        state = {name: value for name, value in self.__dict__.items() if name != "_filters"}
+        return state | {name: {} for name in ("_late", "_begun", "_columns", "_parts")}
 
     @property
     def passes(self) -> int:
@@ -134,8 +133,13 @@ class Motion:
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
-        """Return the motion at the samples `rows`; delays and lags remain as exact as in the whole motion."""
+        """Return the motion at the samples `rows`, cached if small; delays and lags remain as exact as in the whole."""
         chosen = np.arange(len(self))[rows]
+        if len(chosen) > SMALL:
+            return self._at(rows, chosen)
+        return kept(self._parts, chosen.tobytes(), lambda: self._at(rows, chosen), PARTS)
+
+    def _at(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice, chosen: NDArray[np.int64]) -> Motion:
         whole, places = self.whole
         return replace(
             self,
@@ -208,7 +212,7 @@ class Motion:
         """
         if delay == 0.0:
             return self
-        return _kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
+        return kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
 
     def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
         """Return the signals that unknown states at the beginning of each piece can cause
@@ -218,7 +222,15 @@ class Motion:
         """
         from ga.model.memory import beginnings
 
-        return _kept(self._begun, key, lambda: beginnings(left(), self.stretch))
+        return kept(self._begun, key, lambda: beginnings(left(), self.stretch))
+
+    def recalled(self, key: Hashable) -> tuple[Array, ...] | None:
+        """Return columns (n,) that were computed from this motion, if they are kept: most do not change in a search."""
+        return recalled(self._columns, key)
+
+    def keep(self, key: Hashable, columns: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Keep columns (n,) under a key, which names all that they depend on besides the motion."""
+        return keep(self._columns, key, columns, columns_of(len(self)))
 
     def changing(self, delay: float) -> Motion:
         """Return the time derivative of each array of the motion, per second, `delay` seconds before each time."""
@@ -254,9 +266,9 @@ class Motion:
         return np.concatenate(parts)
 
     def filtered(self, values: Array) -> Array:
-        """Return values (n,) after the filter that the torque went through."""
+        """Return values (n,) or (k, n) after the filter that the torque went through."""
         parts = zip(self._stretches(), self._filters, strict=True)
-        return np.concatenate([through(values[a:b]) for (a, b), through in parts])
+        return np.concatenate([through(values[..., a:b]) for (a, b), through in parts], axis=-1)
 
     def presliding(self, length: float) -> Array:
         """Return Dahl's (1976) friction state (n,), -1 to 1, which builds up over `length`, rad, after a reversal."""
@@ -352,19 +364,6 @@ class Motion:
     @cached_property
     def _changes(self) -> tuple[Spline, ...]:
         return tuple(curve.changing() for curve in self._curves) if self.part_of is None else self.part_of[0]._changes
-
-
-def _kept(found: dict[K, V], key: K, make: Callable[[], V]) -> V:
-    """Return the cached value for a key, computed by `make` at first; a few are cached, for two alternating
-    searches.
-    """
-    value = found.get(key)
-    if value is None:
-        value = make()
-        if len(found) >= _MOST_KEPT:
-            found.clear()
-        found[key] = value
-    return value
 
 
 def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:

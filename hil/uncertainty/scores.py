@@ -4,7 +4,7 @@ prediction.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -51,10 +51,6 @@ class Scores:
         """The first rows of the blocks."""
         return _blocks(self.scores)
 
-    @cached_property
-    def _signs(self) -> Array:
-        return np.asarray(np.random.default_rng(0).integers(0, 2, (_FLIPS, len(self._firsts))) * 2.0 - 1.0)
-
     def new(self, features: Array) -> Array:
         """Return the part of features (n, k) that is orthogonal to the model's columns, scaled to mean square one.
 
@@ -79,7 +75,9 @@ class Scores:
         values, vectors = np.linalg.eigh(features.T @ features)
         whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + _RIDGES[1] * values.mean()))
         total = float(np.sum(whitened.sum(axis=0) ** 2))
-        by_chance = np.sum((self._signs @ whitened) ** 2, axis=1)
+        by_chance = np.sum(
+            (whitened.T @ _signs(len(self._firsts))) ** 2, axis=0
+        )  # long rows: a sum over short ones takes as long
         return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
 
     def predicted(self, features: Array) -> tuple[float, float]:
@@ -100,6 +98,12 @@ class Scores:
             )
             best = max(best, gained / power if power > 0.0 else 0.0)
         return best, float(np.sqrt(best * power / len(features)))
+
+
+@lru_cache(maxsize=2)
+def _signs(blocks: int) -> Array:
+    """Random signs (blocks, _FLIPS) of the blocks."""
+    return np.asarray(np.random.default_rng(0).integers(0, 2, (_FLIPS, blocks)) * 2.0 - 1.0).T.copy()
 
 
 def _basis(columns: Array) -> Array:

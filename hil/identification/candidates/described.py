@@ -310,4 +310,4 @@ def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
     found = count * np.stack([np.round(place) - place, *waves], axis=1)
     if signals.unfiltered is None or signals.window is None:
         return [found]
-    return [np.stack([signals.window.alike(signals.motion.time, one) for one in found.T], axis=1)]
+    return [signals.window.passing(signals.motion.time)(found.T).T]

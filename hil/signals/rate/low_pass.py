@@ -39,8 +39,6 @@ _SIGNALS: Final = 3  # deflection, rate, acceleration
 _BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
 _LEFT: Final = 0.8  # of the samples, that must remain
 _KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
-_REMEMBERED: Final = 24  # results, of one recording, that are kept for columns asked for again
-_MARKS: Final = 64  # values of a column, by which it is looked up
 _EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
@@ -136,38 +134,25 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 
 
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return a function that low-passes readings (n,) at stamps (n,), s, rising, and returns the value as `passed`
-    does.
+    """Return a function that low-passes readings (n,) or (k, n) at stamps (n,), s, rising, and returns the value as
+    `passed` does.
 
-    The function stores what depends only on the stamps, so that many readings at the same stamps cost less, and its
-    last results.
+    What depends only on the stamps is computed once, so that many readings at the same stamps cost less.
     """
+    if len(time) < _KEPT:
+        return _passing_again(low_pass, time.tobytes())
+    through = _through(time, low_pass)  # transforms of many long columns at once would need much memory
+    return lambda values: np.apply_along_axis(through, -1, values)
+
+
+@lru_cache(maxsize=4)  # a recording's motion has the same stamps whatever errors are added to it
+def _passing_again(low_pass: LowPass, stamps: bytes) -> Callable[[Array], Array]:
+    return _through(np.frombuffer(stamps), low_pass)
+
+
+def _through(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     parts = [(part, _passing(time[part], low_pass)) for part in _stretches(time, low_pass.step)]
-
-    def through(values: Array) -> Array:
-        return np.concatenate([pass_part(values[part]) for part, pass_part in parts])
-
-    return _remembering(through) if len(time) < _KEPT else through
-
-
-def _remembering(through: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Return the function `through` with a cache of its last results: most columns of a model do not change during a
-    search.
-    """
-    known: dict[bytes, tuple[Array, Array]] = {}
-
-    def remembered(values: Array) -> Array:
-        key = values[:: max(1, len(values) // _MARKS)].tobytes()
-        before = known.pop(key, None)
-        if before is None or not np.array_equal(before[0], values):
-            before = values.copy(), through(values)
-            before[1].flags.writeable = False
-        if len(known) >= _REMEMBERED:
-            known.pop(next(iter(known)), None)  # what was not asked for longest
-        known[key] = before
-        return before[1]
-
-    return remembered
+    return lambda values: np.concatenate([pass_part(values[..., part]) for part, pass_part in parts], axis=-1)
 
 
 def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
@@ -201,27 +186,33 @@ def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
 def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     """Return a function that gives the first row of `_passed`, for stamps that are used many times."""
     if _is_even(time, low_pass):
-        return lambda values: np.asarray(_filtered(values, low_pass, 1)[0])
+        return lambda values: np.asarray(_filtered(values, low_pass, 1)[..., 0, :])
     if not 2 * low_pass.near < len(time) < _KEPT:
-        return lambda values: np.asarray(_passed(time, values, low_pass)[0])
+        return lambda values: np.apply_along_axis(lambda one: _passed(time, one, low_pass)[0], -1, values)
     grid = _grid(time, low_pass)
     there, back = _to_grid(time, grid, low_pass.near), _matrix(_cubic(grid, time), len(grid))
 
     def through(values: Array) -> Array:
-        base = values.mean()  # small numbers lose fewer digits
-        return np.asarray(base + back @ _filtered(there @ (values - base), low_pass, 2).ravel())
+        base = values.mean(axis=-1, keepdims=True)  # small numbers lose fewer digits
+        grids = _filtered((there @ (values - base).T).T, low_pass, 2)
+        return np.asarray(base + (back @ grids.reshape(*grids.shape[:-2], -1).T).T)
 
     return through
 
 
 def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
-    """Return readings at even times, filtered by each of the first `kernels` kernels."""
-    padded = np.pad(even - even[0], low_pass.half, mode="edge")
+    """Return readings (n,) or (k, n) at even times, filtered by each of the first kernels, (kernels, n) or (k, kernels,
+    n).
+    """
+    before, end = low_pass.half, low_pass.half + even.shape[-1]
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
-    size = transform_size(len(padded))
-    found = np.fft.irfft(np.fft.rfft(padded, size) * low_pass.spectra(size)[:kernels], size)
-    found = found[:, 2 * low_pass.half : len(padded)]
-    found[0] += even[0]
+    size = transform_size(end + before)
+    padded = np.zeros((*even.shape[:-1], size))  # np.pad takes half as long as the transform
+    padded[..., before:end] = even - even[..., :1]
+    padded[..., end : end + before] = padded[..., end - 1 : end]
+    found = np.fft.irfft(np.fft.rfft(padded)[..., None, :] * low_pass.spectra(size)[:kernels], size)
+    found = found[..., 2 * before : end + before]
+    found[..., 0, :] += even[..., :1]
     return np.asarray(found)
 
 

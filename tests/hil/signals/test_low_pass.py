@@ -11,7 +11,6 @@ from scipy.signal import butter, sosfilt
 
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
-from hil.signals.rate import low_pass as low_pass_module
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing, transform_size
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial
 from hil.signals.rate.spectrum import Spectrum
@@ -209,28 +208,3 @@ def test_a_window_that_lies_across_a_long_gap_does_not_hide_the_noise_of_the_oth
 )
 def test_a_transform_has_the_next_size_that_is_a_product_of_two_three_and_five(count: int, size: int) -> None:
     assert transform_size(count) == size
-
-
-def test_a_column_that_was_asked_for_is_not_filtered_again_and_one_that_differs_anywhere_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    found = low_pass()
-    filtered = Mock(wraps=low_pass_module._filtered)
-    monkeypatch.setattr(low_pass_module, "_filtered", filtered)
-    through, column = passing(TIME, found), of_sine(TIME)[0]
-    first = through(column).copy()
-    assert through(column.copy()).tolist() == first.tolist()
-    assert filtered.call_count == 1
-    column[1001] += 1.0
-    assert through(column)[1001] > first[1001] + 0.01
-    assert filtered.call_count == 2
-
-
-def test_the_columns_asked_for_last_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    filtered = Mock(wraps=low_pass_module._filtered)
-    monkeypatch.setattr(low_pass_module, "_filtered", filtered)
-    through, column = passing(TIME, low_pass()), of_sine(TIME)[0]
-    for other in range(100):
-        through(column)
-        through(column * (2.0 + other))
-    assert filtered.call_count == 101
