@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
 from types import ModuleType
@@ -29,35 +30,41 @@ def parquet(path: Path) -> ModuleType:
 
 def read(source: Path) -> Columns:
     """Return the columns of a file: "q[2]" in a column of lists, "wrench.z" in a column of structs."""
-    from pyarrow import dataset, types
+    import pyarrow.ipc
+    import pyarrow.parquet
 
     with source.open("rb") as file:
-        form = "parquet" if file.read(4) == _PARQUET else "ipc"
-    table = dataset.dataset(source, format=form)
-    nested = [one.name for one in table.schema if types.is_nested(one.type)]
+        is_parquet = file.read(4) == _PARQUET
+    load: Callable[[list[str]], Any]
+    if is_parquet:
+        opened = pyarrow.parquet.ParquetFile(source)  # a data set would start threads, whose memory counts
+        schema, load = opened.schema_arrow, partial(opened.read, use_threads=False)
+    else:
+        table = pyarrow.ipc.open_file(source).read_all()
+        schema, load = table.schema, table.select
+    nested = [one.name for one in schema if pyarrow.types.is_nested(one.type)]
+    flat = {titled(one.name, _unit(one)): partial(_values, load, one.name) for one in schema if one.name not in nested}
 
     @cache
     def inner(rows: int | None) -> Columns:
-        part = table.head(rows, columns=nested) if rows else table.to_table(nested)
-        return from_values(columns(str(source), enumerate(part.to_pylist())).values)
+        return from_values(columns(str(source), enumerate(load(nested).slice(0, rows).to_pylist())).values)
 
-    flat = {
-        titled(one.name, {"unit": "s"} if types.is_temporal(one.type) else one.metadata): partial(
-            _values, table, one.name
-        )
-        for one in table.schema
-        if one.name not in nested
-    }
     names = inner(_LOOKED) if nested else {}
     return flat | {name: partial(lambda name: inner(None)[name](), name) for name in names}
 
 
-def _values(table: Any, name: str) -> Any:
+def _unit(field: Any) -> Mapping[Any, Any]:
+    from pyarrow import types
+
+    return {"unit": "s"} if types.is_temporal(field.type) else field.metadata or {}
+
+
+def _values(load: Callable[[list[str]], Any], name: str) -> Any:
     """Return the values of a column (n,)."""
     import pyarrow
     from pyarrow import types
 
-    column = table.to_table([name], use_threads=False).column(0)
+    column = load([name]).column(0)
     if types.is_time(column.type):
         column = column.cast(pyarrow.int64()).cast(pyarrow.duration(column.type.unit))
     elif types.is_decimal(column.type):
