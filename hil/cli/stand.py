@@ -90,14 +90,14 @@ def _check_defaults(draft: Draft, questions: list[Question]) -> None:
     missing = [question for question in questions if question.default is None]
     if missing:
         words = " ".join(f"--set {question.key}=..." for question in missing)
-        known = [said for question in missing if (said := _listed(question, _answers(draft, question)))]
+        known = [said for question in missing if (said := _listed(question, draft.answers(question)))]
         keys = ", ".join(question.key for question in missing)
         raise WrongUse("\n".join([f"{keys}: there is no default; add {words}", *known]))
 
 
 def _asked(draft: Draft, question: Question) -> Any:
     """Ask the user a question, again until the answer is valid; return the answer. Known answers are listed first."""
-    default, known = question.default, _answers(draft, question) if question.default is None else []
+    default, known = question.default, draft.answers(question) if question.default is None else []
     if question.default is None and (said := _listed(question, known)):
         say(said)
     if len(known) == 1 and question.name == "port":
@@ -117,17 +117,3 @@ def _listed(question: Question, known: list[str]) -> str:
     if question.name == "port" and not known:
         return f"{question.key}: no serial port is connected to this computer"
     return f"{question.key} is one of: {', '.join(known)}" if known else ""
-
-
-def _answers(draft: Draft, question: Question) -> list[str]:
-    """Return the answers to a question that are known: the values that a key can have, and what this computer has."""
-    from drivers.ports import can_interfaces, serial_ports
-
-    if question.name == "interface":
-        from drivers.canbus.link import interfaces
-
-        return interfaces()
-    ports = serial_ports() if question.name in {"port", "channel"} else []
-    ports += can_interfaces() if question.name == "channel" else []
-    named = [f"{one.name} ({one.described})" if one.described else one.name for one in ports]
-    return [*draft.choices(question), *named]

@@ -79,9 +79,20 @@ class Draft:
         """
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
 
-    def choices(self, question: Question) -> tuple[str, ...]:
-        """Return the possible answers to a question; () if there are countless, or they depend on the computer."""
-        return choices(self._class_of(question.table), question.name)
+    def answers(self, question: Question) -> list[str]:
+        """Return the answers to a question that are known: the values that a key can have, and what this computer has:
+        its ports and interfaces, each with what is connected in brackets.
+        """
+        from drivers.ports import can_interfaces, serial_ports
+
+        if question.name == "interface":
+            from drivers.canbus.link import interfaces
+
+            return interfaces()
+        ports = serial_ports() if question.name in {"port", "channel"} else []
+        ports += can_interfaces() if question.name == "channel" else []
+        named = [f"{one.name} ({one.described})" if one.described else one.name for one in ports]
+        return [*choices(self._class_of(question.table), question.name), *named]
 
     def error(self, question: Question, value: Any) -> str:
         """Return why `value` is not valid as the answer to a question, "" if it is valid."""

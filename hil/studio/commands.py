@@ -12,6 +12,8 @@ from hil.studio.folder import Folder, is_report
 
 SIZES: Final = ("profile", "amplitude", "band", "duration", "rate", "mode")
 """The fields of the page that describe an excitation, which are options of `hil record` too."""
+ROUGH: Final = ("kc", "bc")
+"""The fields with rough values of the joint, which are options of `hil design` too."""
 _WINDOW: Final = ("from", "to")
 _LONGEST: Final = 200  # characters of a value
 _EXPORTS: Final = (".csv", ".parquet", ".mat", ".mcap", ".xml", ".urdf", ".sdf", ".h", ".json")
@@ -32,7 +34,7 @@ class Line(NamedTuple):
 def line_of(wanted: Mapping[str, Any], folder: Folder) -> Line:
     """Return the command line for what the page asks: texts by name, "kind" among them. Raises WrongUse."""
     makers = {"readings": _readings, "doctor": _doctor, "record": _record, "identify": _identify, "compare": _compare}
-    makers["export"] = _export
+    makers |= {"export": _export, "design": _design, "stand": _stand}
     kind = text_of(wanted, "kind")
     if kind not in makers:
         raise unknown("command", kind, makers)
@@ -70,14 +72,31 @@ def _doctor(wanted: Mapping[str, Any], folder: Folder) -> Line:
     stand = stand_of(wanted, folder)
     if stand == "sim":
         return Line("doctor", ["doctor", "--json"])
-    more = [f"--{name}" for name in ("commission", "yes") if wanted.get(name) is True]
+    more = [f"--{name}" for name in ("commission", "move", "yes") if wanted.get(name) is True]
     return Line("doctor", ["doctor", _argument(stand), "--json", *more], moves=True)
 
 
-def _record(wanted: Mapping[str, Any], folder: Folder) -> Line:
+def _stand(wanted: Mapping[str, Any], _folder: Folder) -> Line:
+    name, answers = text_of(wanted, "file"), wanted.get("answers")
+    if Path(name).name != name or Path(name).suffix != ".toml" or not isinstance(answers, dict):
+        raise WrongUse(f"file {name!r}: give a name for a file of this folder, such as stand.toml")
+    given = [f"--set={key}={text}" for key in answers if (text := text_of(answers, key))]
+    words = ["stand", "new", "--yes", f"--backend={text_of(wanted, 'backend')}", *given, f"--output={name}"]
+    return Line("stand", words, Path(name))
+
+
+def _excited(wanted: Mapping[str, Any], folder: Folder) -> list[str]:
     stand = stand_of(wanted, folder)
+    return ["--backend=sim" if stand == "sim" else f"--stand={stand}", *options(wanted, SIZES)]
+
+
+def _design(wanted: Mapping[str, Any], folder: Folder) -> Line:
+    return Line("design", ["design", *_excited(wanted, folder), *options(wanted, ROUGH), "--json"])
+
+
+def _record(wanted: Mapping[str, Any], folder: Folder) -> Line:
     output = next_free(folder.place / "recordings").relative_to(folder.place)
-    words = ["--backend=sim" if stand == "sim" else f"--stand={stand}", *options(wanted, (*SIZES, "note"))]
+    words = [*_excited(wanted, folder), *options(wanted, ["note"])]
     agreed = ["--yes"] if wanted.get("yes") is True else []
     shown = [f"--output={output}", "--json", "--realtime"]  # a real stand takes its time anyway
     return Line("record", ["record", *words, *shown, *agreed], output, moves=True)

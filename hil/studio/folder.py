@@ -16,6 +16,8 @@ from hil.acquisition.commissioning import NOTHING_TURNS, announcement
 from hil.errors import WrongUse
 from hil.recording.reader import Recording
 from hil.report.pictures.thinning import trace_rows
+from hil.stand.devices import check_backend
+from hil.stand.draft import Draft
 from hil.stand.file import SIMULATED, Stand, load, parse
 
 _HEAD: Final = 4096  # bytes of a report that hold its title
@@ -102,6 +104,18 @@ def _described(file: str, stand: Stand) -> dict[str, Any]:
         "asked": announcement(stand, "will move with up to {size} at the joint for {time}."),
         "simulated": stand.stand.backend in NOTHING_TURNS,
     }
+
+
+def questions(backend: str) -> list[dict[str, Any]]:
+    """Return the questions of `hil stand new` for a drive, each with its default and the answers that are known.
+
+    Raises WrongUse.
+    """
+    draft = Draft(check_backend(backend), None)
+    asked = draft.questions()
+    return [
+        {"key": one.key, "meaning": one.meaning, "default": one.default, "known": draft.answers(one)} for one in asked
+    ]
 
 
 def _title(page: Path) -> str:

@@ -150,6 +150,7 @@ class Jobs:
         self.job: Job | None = None
         self._launching, self._unwanted = Event(), Event()  # a stop may come while a thread starts the process
         self._watching: set[asyncio.Task[None]] = set()
+        self._presses: set[str] = set()
 
     @property
     def running(self) -> Job | None:
@@ -191,8 +192,15 @@ class Jobs:
         if self.job is not None:
             self.job.end()
 
-    def stop(self) -> None:
-        """Stop what runs, softly; then look for the end of the torque as often as it takes to time it."""
+    def stop(self, press: str = "") -> None:
+        """Stop what runs, softly; then look for the end of the torque as often as it takes to time it.
+
+        press: names a press of STOP, which the page sends in two ways; the later one is no second stop. "": each call
+        is a stop of its own.
+        """
+        if press in self._presses:
+            return
+        self._presses |= {press} - {""}
         job = self.running
         if self._launching.is_set():
             self._unwanted.set()

@@ -32,14 +32,17 @@ from hil.acquisition.excitation import EXCITATIONS
 from hil.child import command
 from hil.errors import Untrustworthy, WrongUse
 from hil.report.chart import library
-from hil.studio.commands import SIZES, stand_of, text_of
-from hil.studio.folder import Folder, trace
+from hil.stand.devices import BACKENDS
+from hil.studio.commands import ROUGH, SIZES, stand_of, text_of
+from hil.studio.folder import Folder, questions, trace
 from hil.studio.guard import TOKEN_PATH, Access, App, Guard
 from hil.studio.jobs import Job, Jobs
 
 _FRAME: Final = 0.03  # s between two frames of the traces, which take a few ms
 _FIGURES: Final = 0.2  # s between two states of the run
 _BODY: Final = 65_536  # bytes of a request
+_PRESS: Final = 40  # characters that tell one press of STOP from another
+_WARM: Final = 3600  # s that an idle connection stays open, because a stop must not wait for a new one
 _TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _LIBRARY: Final = {"uPlot.min.js": "script", "uPlot.min.css": "style"}
 _REPORT_POLICY: Final = (
@@ -57,6 +60,7 @@ def app(access: Access, jobs: Jobs) -> App:
         Route("/static/{name}", lambda request: _static(request.path_params["name"])),
         Route(TOKEN_PATH, studio.enter, methods=["POST"]),
         Route("/api/folder", studio.list_folder),
+        Route("/api/questions", lambda request: JSONResponse(questions(request.query_params.get("backend", "")))),
         Route("/api/trace", studio.trace),
         Route("/api/report", studio.report),
         Route("/api/file", studio.download),
@@ -92,7 +96,7 @@ class _Studio:
         self._jobs.find_foreign()
         kinds = {name: one.explanation for name, one in EXCITATIONS.items() if name != "file"}
         table = {"folder": str(self._folder.place), "stands": self._folder.stands(), "profiles": kinds}
-        return JSONResponse(table | {"recordings": recordings, "count": count})
+        return JSONResponse(table | {"recordings": recordings, "count": count, "drives": list(BACKENDS)})
 
     def trace(self, request: Request) -> Response:
         with self._reading:  # a long one after the other: a stop must not wait for many
@@ -117,7 +121,7 @@ class _Studio:
         running = self._jobs.running
         if running is not None and running.line.moves:
             raise WrongUse("the motor moves: nothing is predicted meanwhile")
-        fields = {name: text for name in (*SIZES, "kc", "bc") if (text := text_of(given, name))}
+        fields = {name: text for name in (*SIZES, *ROUGH) if (text := text_of(given, name))}
         words = command("hil.studio.preview", stand_of(given, self._folder), json.dumps(fields))
         self._give_up_preview()
         process = subprocess.Popen(words, cwd=self._folder.place, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)  # noqa: S603 - our own module
@@ -138,18 +142,19 @@ class _Studio:
             self._give_up_preview()
             return self._jobs.start(given)
 
-    async def stop(self, _request: Request) -> Response:
-        self._jobs.stop()
+    async def stop(self, request: Request) -> Response:
+        self._jobs.stop(request.query_params.get("press", "")[:_PRESS])
         return JSONResponse({"running": self._jobs.running is not None})
 
     async def stream(self, socket: WebSocket) -> None:
         """Send the state of the command and the rows of its recording until either side ends.
 
-        The reader only waits for the end: without it a page that is gone would be written to for ever.
+        The reader waits for the end: without it a page that is gone would be written to for ever. What it reads is a
+        stop, which is here some ms before its request.
         """
         await socket.accept()
         async with create_task_group() as group:
-            group.start_soon(_read, socket, group.cancel_scope)
+            group.start_soon(_read, socket, group.cancel_scope, self._jobs.stop)
             with suppress(WebSocketDisconnect):
                 await self._write(socket)
             group.cancel_scope.cancel()
@@ -173,10 +178,10 @@ class _Studio:
             await asyncio.sleep(_FRAME)
 
 
-async def _read(socket: WebSocket, other: CancelScope) -> None:
+async def _read(socket: WebSocket, other: CancelScope, stop: Callable[[str], object]) -> None:
     with suppress(WebSocketDisconnect, KeyError):
         while True:
-            await socket.receive_text()
+            stop((await socket.receive_text())[:_PRESS])
     other.cancel()
 
 
@@ -236,7 +241,12 @@ def serve(bound: socket.socket, place: Path, say: Callable[[str], object]) -> No
     """
     access, jobs = Access(bound.getsockname()[1]), Jobs(Folder(place))
     more: dict[str, Any] = {"access_log": False, "log_config": None, "lifespan": "off", "timeout_graceful_shutdown": 1}
-    more |= {"ws": "websockets-sansio", "ws_per_message_deflate": False, "ws_max_size": _BODY}
+    more |= {
+        "timeout_keep_alive": _WARM,
+        "ws": "websockets-sansio",
+        "ws_per_message_deflate": False,
+        "ws_max_size": _BODY,
+    }
     server = _Server(uvicorn.Config(app(access, jobs), **more))
     try:
         asyncio.run(_serve(server, access, jobs, bound, say))

@@ -66,6 +66,7 @@
     showStands();
     showRecordings();
     const profile = at("excitation").elements.profile;
+    if (!profile.length) at("draft").elements.backend.append(...table.drives.map((name) => make("option", name)));
     if (!profile.length) profile.append(...Object.keys(table.profiles).map((name) => make("option", name, { value: name, selected: name === "chirp" })));
   }
 
@@ -78,7 +79,34 @@
       return label;
     });
     at("stands").replaceChildren(at("stands").firstElementChild, ...lines);
-    at("commission").disabled = stand().simulated;
+    showMoves();
+  }
+
+  function showMoves() { at("move").disabled = at("commission").disabled = stand().simulated; }
+
+  async function askAboutDrive() {
+    const form = at("draft"), backend = form.elements.backend.value;
+    const found = backend ? await ask(`/api/questions?backend=${backend}`) : [];
+    form.replaceChildren(...[...form.children].slice(0, 2), ...found.map((one) => {
+      const label = make("label", `${one.key} `), list = make("datalist", undefined, { id: `known-${one.key}` });
+      const field = make("input", undefined, { name: one.key, autocomplete: "off", placeholder: one.default === null ? "needed" : String(one.default) });
+      list.append(...one.known.map((text) => make("option", text, { value: text.split(" (")[0] })));
+      field.setAttribute("list", list.id);
+      label.append(field, make("small", one.meaning, { className: "soft" }), list);
+      return label;
+    }));
+  }
+
+  function writeStand() {
+    const { backend, file, ...answers } = Object.fromEntries(new FormData(at("draft")));
+    begin({ kind: "stand", backend, file, answers });
+  }
+
+  function takeBest({ kind, mode, amplitude, duration, band_low: low, band_high: high }) {
+    const fields = at("excitation").elements;
+    const best = { profile: kind, mode, amplitude, duration, band: low === high ? low : `${low}:${high}` };
+    for (const [name, value] of Object.entries(best)) fields[name].value = value;
+    predict();
   }
 
   function showRecordings() {
@@ -115,11 +143,16 @@
     const wanted = { kind: "record", stand: one.file, ...form };
     if (one.simulated) { begin(wanted); return; }
     const words = one.asked.replace("{size}", form.amplitude || "a fifth of the limit").replace("{time}", form.duration || "20 s");
-    question(`${words}\nWhile it moves, STOP and any key stop it.`, () => begin({ ...wanted, yes: true }));
+    question(words, () => begin({ ...wanted, yes: true }));
+  }
+
+  function move() {
+    const words = stand().asked.replace("{size}", "a twentieth of the limit").replace("{time}", "3 s");
+    question(words, () => begin({ kind: "doctor", stand: chosenStand(), move: true, yes: true }));
   }
 
   function question(text, agreed) {
-    at("asked").textContent = text;
+    at("asked").textContent = `${text}\nWhile it moves, STOP and any key stop it.`;
     agree = agreed;
     at("question").showModal();
   }
@@ -127,7 +160,9 @@
   function stop() {
     pressed = pressed || performance.now();
     at("stop").textContent = "STOP sent";
-    fetch("/api/stop", { method: "POST", keepalive: true }).then((answer) => { if (!answer.ok) throw new Error(); return answer.json(); }).then((answer) => {
+    const press = String(Math.random());  // the open connection is faster, and the request goes where that one hangs
+    if (link && link.readyState === WebSocket.OPEN) link.send(press);
+    fetch(`/api/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => { if (!answer.ok) throw new Error(); return answer.json(); }).then((answer) => {
       if (!answer.running) at("stop").textContent = "STOP";
     }).catch(() => say("STOP did not reach hil studio: press Ctrl-C in its terminal, or cut the power of the motor."));
   }
@@ -165,6 +200,7 @@
     if (job.kind === "record") showRun();
     if (job.kind === "readings") showReading();
     if (job.kind === "doctor") showChecks();
+    if (job.kind === "design" && job.status === null) at("predicted").textContent = job.said[job.said.length - 1] || "searching ...";
     const busy = job.status === null && ["identify", "compare", "export"].includes(job.kind);
     at("progress").hidden = !busy;
     if (busy) at("progress").lastElementChild.textContent = `${job.said[job.said.length - 1] || job.command} (${Math.round((performance.now() - began) / 1000)} s)`;
@@ -173,7 +209,7 @@
 
   function showState() {
     const live = job && job.live;
-    const names = { record: "Recording", doctor: "Checking the stand", readings: "Reading at rest", identify: "Identifying", compare: "Comparing", export: "Exporting" };
+    const names = { record: "Recording", doctor: "Checking the stand", readings: "Reading at rest", identify: "Identifying", compare: "Comparing", export: "Exporting", design: "Searching the best excitation", stand: "Writing the stand file" };
     let text = "Nothing moves.";
     if (starting) text = "Starting. Any key stops.";
     else if (job && job.status === null) text = names[job.kind] + (moving() ? (live ? `, ${Math.ceil(live.left)} s left. Any key stops.` : ". Any key stops.") : "");
@@ -237,6 +273,8 @@
       at("predicted").textContent = `${output}: ${job.answer.samples} samples, ${job.answer.lost} lost, ${job.answer.late} late (${job.answer.end_reason})`;
       at("to-identify").focus();
     }
+    if (job.kind === "stand" && job.status === 0) trying(refresh).then(() => { document.querySelector(`#stands [value="${CSS.escape(job.output)}"]`).checked = true; showMoves(); at("new").open = false; });
+    if (job.kind === "design") { at("predicted").textContent = ""; if (job.answer) takeBest(job.answer.profiles.best.profile); }
     if (["identify", "compare"].includes(job.kind)) { trying(refresh); if (job.answer) showReport(job.output); }
     if (job.kind === "export" && job.status === 0) Object.assign(at("exported"), { textContent: `save ${job.output}`, href: `/api/file?name=${encodeURIComponent(job.output)}`, hidden: false });
     if (bad && !job.answer) at("said").scrollIntoView({ block: "nearest" });
@@ -325,6 +363,7 @@
     yes: () => { at("question").close(); agree(); },
     check: () => begin({ kind: "doctor", stand: chosenStand() }),
     readings: () => begin({ kind: "readings", stand: chosenStand() }),
+    move, write: writeStand, design: () => begin({ kind: "design", stand: chosenStand(), ...Object.fromEntries(new FormData(at("excitation"))) }),
     commission: () => begin({ kind: "doctor", stand: chosenStand(), commission: true }),
     "to-identify": async () => { at("find").value = ""; first = 0; go("identify"); await refresh(); document.querySelectorAll("#recordings input").forEach((one) => { one.checked = one.value === output; }); trace(); identify(); },
     newer: () => { first = Math.max(0, first - PAGE); trying(refresh); }, older: () => { first += PAGE; trying(refresh); },
@@ -337,7 +376,8 @@
   document.querySelectorAll("nav button").forEach((one) => one.addEventListener("click", () => go(one.dataset.step)));
   at("stop").addEventListener("pointerdown", stop);  // a click comes only when the button is let go, a tenth of a second later
   at("stop").addEventListener("click", (event) => { if (!event.detail) stop(); });  // of a key or a screen reader
-  at("stands").addEventListener("change", () => { at("commission").disabled = stand().simulated; });
+  at("stands").addEventListener("change", showMoves);
+  at("draft").elements.backend.addEventListener("change", () => trying(askAboutDrive));
   at("excitation").addEventListener("input", predict);
   at("excitation").addEventListener("submit", (event) => event.preventDefault());
   at("recordings").addEventListener("change", trace);

@@ -221,6 +221,40 @@ def test_an_emulated_drive_is_checked_read_asked_about_recorded_and_stopped(open
         shown(page, page.locator("#predicted", has_text="(stopped on request)"))
 
 
+def test_a_stand_file_is_written_its_drive_is_moved_and_the_best_excitation_is_found(
+    opened: Opened, tmp_path: Path
+) -> None:
+    (tmp_path / "drive").mkdir()
+    with emulated(tmp_path / "drive"), studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.get_by_text("A new stand file for a drive").click()
+        page.select_option("[name=backend]", "dynamixel")
+        page.fill("[name='dynamixel.model']", "xl330-m288")
+        page.fill("[name='stand.motor_inertia']", "3.2e-6")
+        assert barriers(page) == []
+        page.click("#write")
+        page.locator("#said .error", has_text="dynamixel.port: there is no default").wait_for()
+        page.fill("[name='dynamixel.port']", str(tmp_path / "drive" / "ttyDXL"))
+        page.click("#write")
+        page.get_by_label("my stand").and_(page.locator(":checked")).wait_for()
+        page.click("#move")
+        page.locator("#asked", has_text="will move with up to a twentieth of the limit at the joint for 3 s").wait_for()
+        page.click("#yes")
+        page.locator("#checks", has_text=re.compile("ok signs|error (move|lock)")).wait_for()
+        page.click("#to-record")
+        page.fill("[name=duration]", "5")
+        page.click("#design")
+        page.locator("#said .error", has_text="--kc").wait_for()
+        page.fill("[name=kc]", "17 mN*m/rad")
+        page.fill("[name=bc]", "2e-4")
+        page.click("#design")
+        page.locator("#state", has_text="Searching the best excitation").wait_for()
+        page.locator("#state", has_text="Nothing moves").wait_for()
+        page.locator("#predicted", has_text="predicted standard errors").wait_for()
+        assert page.input_value("[name=band]")
+        assert page.input_value("[name=duration]") == "5"
+
+
 @pytest.mark.parametrize("key", ["Space", "Escape", "a", "End", "Enter", "Tab"])
 def test_any_key_stops_while_the_motor_moves(opened: Opened, tmp_path: Path, key: str) -> None:
     with studio(tmp_path) as (link, _):

@@ -66,6 +66,14 @@ def test_the_simulated_stand_is_there_from_the_first_start(page: TestClient) -> 
     assert "chirp" in table["profiles"]
 
 
+def test_the_page_asks_what_a_stand_file_needs_and_proposes_what_is_known(page: TestClient) -> None:
+    asked = {one["key"]: one for one in page.get("/api/questions?backend=dynamixel").json()}
+    assert asked["dynamixel.port"]["default"] is None
+    assert "xl330-m288" in asked["dynamixel.model"]["known"]
+    assert asked["limits.torque"]["default"] == 0.02
+    assert "unknown" in page.get("/api/questions?backend=x").json()["refused"]
+
+
 def test_a_stand_file_with_an_error_is_shown_with_its_reason(page: TestClient, tmp_path: Path) -> None:
     (tmp_path / "good.toml").write_text(
         '[stand]\nname = "</b>"\nbackend = "sim"\n[limits]\ntorque = 0.01\ndeflection = 1\nvelocity = 1\n'
@@ -132,6 +140,8 @@ def test_a_report_is_shut_off_from_the_page(page: TestClient, tmp_path: Path) ->
         ({"kind": "identify", "recordings": []}, "choose one recording"),
         ({"kind": "compare", "recordings": ["a.h5"]}, "choose 2 to 20 recordings"),
         ({"kind": "export", "recordings": ["a.h5"], "suffix": ".sh"}, "unknown format"),
+        ({"kind": "stand", "file": "../x.toml", "answers": {}}, "a name for a file of this folder"),
+        ({"kind": "stand", "file": "x.toml", "answers": []}, "a name for a file of this folder"),
         ({}, "unknown command"),
     ],
 )
@@ -151,9 +161,11 @@ def test_no_text_of_the_page_becomes_an_option_of_a_command(make_recording: Make
     make_recording("--force.h5", samples=10)
     folder = Folder(tmp_path)
     wanted = {"kind": "record", "stand": "sim", "amplitude": "--no-guardian", "note": "--force", "yes": "true"}
-    words = line_of(wanted, folder).words
-    assert {"--amplitude=--no-guardian", "--note=--force"} <= set(words)
-    assert not {"--no-guardian", "--force", "--yes"} & set(words)
+    stand = {"kind": "stand", "backend": "sim", "file": "-f.toml", "answers": {"--force": "1"}}
+    words = [*line_of(wanted, folder).words, *line_of(stand, folder).words]
+    assert {"--amplitude=--no-guardian", "--note=--force", "--set=--force=1", "--output=-f.toml"} <= set(words)
+    assert not {"--no-guardian", "--force", "-f.toml"} & set(words)
+    assert "--yes" not in line_of(wanted, folder).words
     assert "./--force.h5" in line_of({"kind": "identify", "recordings": ["--force.h5"]}, folder).words
 
 
@@ -198,7 +210,8 @@ def test_a_run_that_another_program_started_is_shown_and_stopped_softly(page: Te
             rows += count
             if rows == count:
                 assert "is running" in refused(page, "/api/start", {"kind": "identify"})
-                assert page.post("/api/stop").json() == {"running": True}
+                stream.send_text("0.5")  # a press of STOP comes in two ways, and a second stop would not ramp down
+                assert page.post("/api/stop?press=0.5").json() == {"running": True}
     assert exit_status(child) == 2  # SIGINT
     assert states[-1]["off_after"] > 0.09  # the torque ramps down over 0.1 s
     assert states[-1]["live"]["rows"] == rows
