@@ -61,7 +61,10 @@ class HasOffPath(Protocol):
     """A servo whose torque another process can switch off."""
 
     def off_path(self) -> OffPath:
-        """Return the frames and the link. `restore` holds the settings that have been changed so far."""
+        """Return the frames that switch the torque off, and the link that carries them.
+
+        The frames in `restore` undo the changes of settings that were made so far.
+        """
         ...
 
 

@@ -43,8 +43,9 @@ class Noise:
             yield from zip(*map(self._block, range(STREAMS)), strict=True)
 
     def _block(self, number: int) -> list[float]:
-        """Return the next numbers of the source `number`. They are the same as if each were drawn alone, in a twentieth
-        of the time.
+        """Return the next random numbers of the source `number`, in the order in which they would be drawn one by one.
+
+        Drawing many numbers in one call takes a twentieth of the time.
         """
         stream = self._streams[number]
         return list((stream.random if number == LOST else stream.standard_normal)(_BLOCK).tolist())
@@ -67,7 +68,7 @@ def counted(value: float, lsb: float) -> float:
     return math.floor(value / lsb + 0.5) * lsb
 
 
-# The constants of the sensors, one number a place: the count of each reading, NaN of a sensor that the stand has not;
+# The constants of the sensors, one number a place: the count of each reading, NaN of a sensor that the stand lacks;
 # the supply's voltage; noise and errors; from _AGES on the delays of motor position, motor torque, joint position and
 # joint torque, s.
 _POSITION, _VELOCITY, _TORQUE, _JOINT, _CELL, _TEMPERATURE, _VOLTAGE = range(7)

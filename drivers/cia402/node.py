@@ -254,7 +254,7 @@ class Node:
 
     @property
     def away(self) -> bool:
-        """Return whether a heartbeat since `prepare` reported that the node was restarted or is not operational."""
+        """Return whether a heartbeat since `prepare` reported that the node has restarted or is not operational."""
         return self._restarted or self._stopped
 
     def error_code(self) -> int:

@@ -10,7 +10,7 @@ from drivers.servo import DeviceFault
 from drivers.tables import table
 
 RESTARTED = -1
-"""Fault code of this project: the drive was restarted during the run."""
+"""Fault code of this project: the drive restarted during the run."""
 NOT_ENABLED = -2
 """Fault code of this project: the drive left the state OPERATION ENABLED during the run."""
 HEARTBEAT_LOST = 0x8130
@@ -73,7 +73,7 @@ def fault(code: int) -> DeviceFault:
     """Return the error for the drive's error `code`."""
     texts = {int(key, 0): text for key, text in table("cia402")["errors"].items()}
     if code == RESTARTED:
-        return DeviceFault(code, "the drive was restarted during the run: check its supply")
+        return DeviceFault(code, "the drive restarted during the run: check its supply")
     if code == NOT_ENABLED:
         return DeviceFault(
             code,

@@ -96,7 +96,7 @@ class Cia402Servo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read position, velocity and torque in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the drive is in fault, was restarted, or
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the drive is in fault, has restarted, or
         has left the state OPERATION ENABLED.
         """
         admitted = self._gate.admit(command)
@@ -133,11 +133,11 @@ class Cia402Servo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._node.off_frames(), self._node.restoring())
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._node.objects.settings.journal = journal
 
     def _torque_off(self, request: int) -> None:

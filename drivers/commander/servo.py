@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 STOPPED = 1
 """Fault code of this project: the board has disabled the motor by itself."""
 RESTARTED = 2
-"""Fault code of this project: the board was restarted."""
+"""Fault code of this project: the board has restarted."""
 
 _WAKE = 0.25  # s between two requests to a board that may still be booting
 _MACHINE, _AWAKE = "@3", "@machine"  # the verbose mode in which replies name their command
@@ -110,14 +110,14 @@ class CommanderServo:
     def exchange(self, command: Command) -> Sample:
         """Send the target and read the state in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the board was restarted or has disabled
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the board has restarted or has disabled
         the motor by itself.
         """
         admitted = self._gate.admit(command)
         text = None if admitted.command is None else self._target(admitted.command.value)
         if self._unsure and self._gate.armed:
             self._raise_restarted()
-        self._unsure = True  # whether the board was restarted, until the reply arrives
+        self._unsure = True  # whether the board has restarted, until the reply arrives
         sent = self.clock.now()
         read = [f"{self._m}MG7", f"{self._m}E"]
         reply, enabled = self._read(read if text is None else [f"{self._m}{text}", *read], text)
@@ -149,7 +149,10 @@ class CommanderServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`. No settings are restored, since the board stores nothing that a run changes."""
+        """Return the lines that switch the torque off, for another process to send.
+
+        No settings are restored, since the board stores nothing that a run changes.
+        """
         return self._link.off_path([f"{self._m}E0", f"{self._m}0", f"{self._m}E0"])
 
     def _torque_off(self, _request: int) -> None:
@@ -317,5 +320,5 @@ class CommanderServo:
             raise BadReply(f"the reply to @ is damaged ({shown(reply)}): the sample is dropped")
         raise DeviceFault(
             RESTARTED,
-            "the board was restarted, and its motor may be enabled: check its supply and its plug, then start again",
+            "the board has restarted, and its motor may be enabled: check its supply and its plug, then start again",
         )

@@ -11,7 +11,7 @@ from drivers.tables import texts_of
 WATCHDOG = 0x100
 """Fault code of this project: the bus watchdog tripped. It is above every value of Hardware Error Status(70)."""
 RESTARTED = 0x101
-"""Fault code of this project: the torque is off although the servo latched no error, so the servo was restarted."""
+"""Fault code of this project: the torque is off although the servo latched no error, so the servo has restarted."""
 
 _HARDWARE = {
     0x01: "its supply voltage is outside its limits: check the supply and the cable",
@@ -49,7 +49,7 @@ def watchdog(period: float) -> DeviceFault:
 
 
 def reboot() -> DeviceFault:
-    """Return the error for an armed servo that reports its torque as off: it was restarted."""
+    """Return the error for an armed servo that reports its torque as off: it has restarted."""
     return DeviceFault(
-        RESTARTED, "the servo's torque went off by itself: it was restarted; check its supply and its plug"
+        RESTARTED, "the servo's torque went off by itself: it has restarted; check its supply and its plug"
     )

@@ -95,7 +95,7 @@ class DynamixelServo:
         """Send the set-point and read the state in one round trip.
 
         In a position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
-        NoReply, BadReply, LinkLost, and DeviceFault if the servo has latched a fault, was restarted, or its watchdog
+        NoReply, BadReply, LinkLost, and DeviceFault if the servo has latched a fault, has restarted, or its watchdog
         has tripped.
         """
         goal, saturated = self._goal(self._gate.admit(command))
@@ -124,11 +124,11 @@ class DynamixelServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return off_path(self._port, self._table, self._series.off, self._series.zero_after_off)
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._table.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
@@ -229,7 +229,7 @@ class DynamixelServo:
         self._bus.quarantine()
         if self._gate.armed:
             self._look_for_faults()
-        raise BadReply("the reply is older than its request, or the servo was restarted: the sample is dropped")
+        raise BadReply("the reply is older than its request, or the servo has restarted: the sample is dropped")
 
     def _look_for_faults(self) -> None:
         """Raise DeviceFault if the servo has latched an error or has stopped by itself."""

@@ -10,7 +10,7 @@ from drivers.tables import texts_of
 ALERTS = 0x7F
 """The error bits of the error byte. All of them are errors of the servo; none says that the request was wrong."""
 RESTARTED = 0x100
-"""Fault code of this project: the torque is off although the servo reports no error, so the servo was restarted. It is
+"""Fault code of this project: the torque is off although the servo reports no error, so the servo has restarted. It is
 above every value of the status byte.
 """
 
@@ -32,7 +32,7 @@ def reported(bits: int) -> DeviceFault:
 
 
 def restarted() -> DeviceFault:
-    """Return the error for an armed servo that reports its torque as off: it was restarted."""
+    """Return the error for an armed servo that reports its torque as off: it has restarted."""
     return DeviceFault(
-        RESTARTED, "the servo's torque went off by itself: it was restarted; check its supply and its plug"
+        RESTARTED, "the servo's torque went off by itself: it has restarted; check its supply and its plug"
     )

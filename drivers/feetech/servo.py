@@ -31,7 +31,7 @@ _FACTORY_TEMPERATURE = 70
 _HIGHEST_CURRENT = 2047
 _LARGEST = 32767  # magnitude below bit 15
 _SINGLE_STEPS = 0x04  # Phase(18) bit 2 of an STS
-_GAP = 0.05  # s without a reply after which it is checked whether the servo was restarted
+_GAP = 0.05  # s without a reply after which it is checked whether the servo has restarted
 _DELAY_LSB = 2e-6
 _EVERYTHING = 256  # an address above all: every setting is restored
 
@@ -95,7 +95,7 @@ class FeetechServo:
         """Send the set-point and read the state in one round trip.
 
         In position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
-        NoReply, BadReply, LinkLost, and DeviceFault if the servo reports an error or was restarted.
+        NoReply, BadReply, LinkLost, and DeviceFault if the servo reports an error or has restarted.
         """
         goal, saturated = self._goal(self._gate.admit(command))
         if self._gate.armed and (self._doubtful or self.clock.now() - self._last_reply > _GAP):
@@ -133,11 +133,14 @@ class FeetechServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`. The torque limit stays zero until the servo is powered up or armed again."""
+        """Return the frames that switch the torque off, for another process to send.
+
+        The torque limit stays zero until the servo is powered up or armed again.
+        """
         return off_path(self._port, self._table, self._off, kept=("torque_limit", "goal_torque"))
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._table.settings.journal = journal
 
     @property

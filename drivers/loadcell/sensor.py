@@ -119,11 +119,11 @@ class LoadCell:
                 trouble = error
         self._last_read = now
         if readings and self._board.late(readings[-1][0], now):
-            return [], BadReply("the board's clock is behind by half a second: it was restarted; a reading is dropped")
+            return [], BadReply("the board's clock is behind by half a second: it has restarted; a reading is dropped")
         return readings, trouble
 
     def _placed(self, reading: Reading, now: float, line: str, count: int) -> tuple[float, float]:
-        """Return (time s, value) of a reading. Raises BadReply if the board was restarted.
+        """Return (time s, value) of a reading. Raises BadReply if the board has restarted.
 
         now: s, when its line was read. count: number of lines that were read together at `now`.
         """
@@ -133,7 +133,7 @@ class LoadCell:
             return now - 0.5 * since - sending - self._config.delay, reading.value
         t = self._board.place(reading.micros, now)
         if t is None:
-            raise BadReply("the board's clock has jumped: it was restarted; a reading is dropped")
+            raise BadReply("the board's clock has jumped: it has restarted; a reading is dropped")
         return t - sending - self._config.delay, reading.value
 
     def _zero(self, values: list[float]) -> float:

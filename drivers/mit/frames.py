@@ -84,7 +84,7 @@ def fault(family: Family, status: int) -> DeviceFault:
     words = table("mit")["errors"][family].get(str(status))
     if status in {DISABLED, ENABLED} and words is None:
         return DeviceFault(
-            RESTARTED, "the motor stopped following without an error: it was restarted; check its supply and plug"
+            RESTARTED, "the motor stopped following without an error: it has restarted; check its supply and plug"
         )
     return DeviceFault(status, f"the motor reports error {status}: {words or 'not known here, see its manual'}")
 

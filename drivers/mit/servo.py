@@ -119,11 +119,11 @@ class MitServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._motor.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
@@ -189,7 +189,7 @@ class MitServo:
     def _check_follows(self, counts: int, state: MitState) -> None:
         """Raise DeviceFault if the torque has differed from the commanded `counts` for too many ticks.
 
-        An AK that was restarted does not report so; it only stops following the command.
+        An AK that has restarted does not report so; it only stops following the command.
         """
         lsb = self._motor.codec.torque.lsb
         asked = (counts - self._motor.codec.torque.of(0.0)) * lsb

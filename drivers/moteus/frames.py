@@ -64,7 +64,7 @@ def fault(code: int) -> DeviceFault:
 
 def restarted() -> DeviceFault:
     """Return the error for a controller that is stopped while armed."""
-    return DeviceFault(RESTARTED, "the moteus stopped by itself without a fault: it was restarted; check its supply")
+    return DeviceFault(RESTARTED, "the moteus stopped by itself without a fault: it has restarted; check its supply")
 
 
 def timed_out(watchdog: float) -> DeviceFault:

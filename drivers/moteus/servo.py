@@ -125,7 +125,7 @@ class MoteusServo:
         """Send the set-point and read the state in one round trip.
 
         In position mode the last position is sent again for `Command.rest()`. Raises UnsafeCommand, NoReply, BadReply,
-        LinkLost, and DeviceFault if the controller is in fault, its watchdog tripped, or it was restarted.
+        LinkLost, and DeviceFault if the controller is in fault, its watchdog tripped, or it has restarted.
         """
         admitted = self._gate.admit(command)
         subframes = self._subframes(admitted.command)
@@ -147,11 +147,11 @@ class MoteusServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path([self._controller.unanswered(_STOP)], self._controller.restoring())
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._controller.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
@@ -273,4 +273,4 @@ class MoteusServo:
             self._milliseconds.restart()
         elif self._impossible == _TRIES:
             raise restarted()
-        raise BadReply("the reply is older than its request, or the controller was restarted: the sample is dropped")
+        raise BadReply("the reply is older than its request, or the controller has restarted: the sample is dropped")

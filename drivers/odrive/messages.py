@@ -54,7 +54,7 @@ def fault(layout: Layout, bits: int) -> DeviceFault:
     if not bits:
         return DeviceFault(
             RESTARTED,
-            "the axis left closed loop by itself without an error: it was restarted; check its supply and plug",
+            "the axis left closed loop by itself without an error: it has restarted; check its supply and plug",
         )
     texts = {int(key, 0): text for key, text in table("odrive")["errors"][layout].items()}
     return DeviceFault(bits, f"the ODrive latched error 0x{bits:x}: {texts_of(bits, texts)}")

@@ -144,11 +144,11 @@ class OdriveServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._off(), self._parameters.restoring() if self._parameters else ())
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         if self._parameters:
             self._parameters.settings.journal = journal
 

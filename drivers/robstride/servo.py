@@ -80,7 +80,7 @@ class RobstrideServo:
         """Send the set-point and read the state in one round trip.
 
         Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor reports a fault, stopped by
-        itself, was restarted, or is commanded by another program.
+        itself, has restarted, or is commanded by another program.
         """
         admitted = self._gate.admit(command)
         counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
@@ -116,11 +116,11 @@ class RobstrideServo:
         self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
-        """See `drivers.off_path`."""
+        """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
-        """See `drivers.off_path`."""
+        """Call `journal` before each write of a setting."""
         self._motor.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
@@ -163,4 +163,4 @@ class RobstrideServo:
         if self._config.watchdog and self._motor.get("canTimeout") == self._timeout:
             silence = f"it received nothing for its canTimeout of {self._config.watchdog:g} s"
             raise DeviceFault(WATCHDOG, f"the motor stopped: {silence}; find out what delayed the computer or the bus")
-        raise DeviceFault(RESTARTED, "the motor stopped without a fault: it was restarted; check its supply and plug")
+        raise DeviceFault(RESTARTED, "the motor stopped without a fault: it has restarted; check its supply and plug")

@@ -298,10 +298,10 @@ def _outcome(
     seconds: float,
     again: Callable[[int], Population],
 ) -> Trials:
-    """Return the outcome of the trials.
+    """Return the best chromosomes, the fitness and the history of the trials `running`, and the work of this run.
 
-    before: the number of evaluations before this run. seconds: its processor time. again: a function that returns the
-    first population of a trial, which the search has overwritten.
+    grid: the generations at which the history has a point. before: the number of evaluations before this run. seconds:
+    its processor time. again: a function that returns the first population of a trial, which the search has overwritten.
     """
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])

@@ -84,7 +84,10 @@ def export(given: Given, target: Path, *, force: bool = False) -> int:
     """
     name = format_of(target, None)
     if name not in TABLES:
-        raise WrongUse(f"{target}: {name} is a format of a coupling, not of a recording")
+        raise WrongUse(
+            f"{target} cannot hold a recording: {name} is a format for the result of hil identify; name a file "
+            f"that ends in {' or '.join(suffix for one in TABLES.values() for suffix in one.suffixes)}"
+        )
     form = TABLES[name]
     if form.check is not None:
         form.check(target)

@@ -14,20 +14,24 @@ Layout of a finished file (all numbers little-endian, SI)::
     /events/         time (s), code, message
     /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
 
-`sha256` is over the rows in order, each the 8-byte fields of ROW: the bytes of the arrays that `rows()` yields.
-`sha256_stored` is over the compressed chunks, as `hil.recording.integrity` reads them; earlier programs wrote none, and
-another that packs the file anew leaves one that does not hold. Rows are as they were written if either hash holds.
-`sha256_header` is over the attributes (with `sha256`), the profile, the truth and the events, as
-`hil.recording.integrity` writes them. It is "" where the recording was recovered from a file that had been changed.
-`hil-recording/2` has no `sha256_header`, and no checksums in a recording in progress; `hil-recording/1` also differs in
-the names of two attributes of /profile: "quantity" for mode and "soft" for fade.
+Three hashes tell whether the file was changed; `hil.recording.integrity` computes them:
 
-A recording in progress is `NAME.h5.part`: the same groups, except that the samples are one contiguous compound dataset
-`/live` and the events one `/live_events`, both preallocated and filled with the end mark. HDF5 is closed before the
-first row, and rows are written straight to the dataset's offset, so that the metadata never changes and the file is
-legal at every moment. A row is valid once its `seq` equals its index and its checksum holds; before the last valid row,
-one that is not is damaged and reads as lost. Its `sha256_header` is over the header without events; it has no `sha256`.
-Every reader here takes both layouts.
+- `sha256`: of the rows in order, each as the 8-byte fields of ROW, which are the bytes of the arrays that `rows()`
+  yields.
+- `sha256_stored`: of the compressed chunks. Old recordings lack it, and it is wrong after another program has
+  compressed the file again. The rows are unchanged if one of these two hashes is right.
+- `sha256_header`: of the attributes (with `sha256`), the profile, the truth and the events; "" if the recording was
+  recovered from a file that had been changed.
+
+Older schemas: `hil-recording/2` has no `sha256_header`, and no checksums in a recording in progress. `hil-recording/1`
+also names two attributes of /profile "quantity" (now mode) and "soft" (now fade).
+
+A recording in progress is `NAME.h5.part`. It has the same groups, but all samples are one contiguous compound dataset
+`/live`, and all events one dataset `/live_events`. Both are preallocated and filled with the end mark. The program
+closes HDF5 before the first row and writes each row at its place in the file, so that the file is valid HDF5 at every
+moment. A row is valid if its `seq` is its index and its checksum is right. Any other row before the last valid one is
+damaged, and is read as lost. `sha256_header` is computed without the events, and there is no `sha256`. The classes of
+this module read finished recordings and recordings in progress.
 """
 
 from __future__ import annotations

@@ -89,7 +89,10 @@ class Slower:
 
 
 def kind_of(time: Array, values: Array) -> Kind | None:
-    """Return how a channel (n,), logged at time (n,), s, shows a sensor slower than the ticks; None if it does not."""
+    """Return what a channel (n,) at time (n,), s, shows between the readings of a sensor slower than the ticks.
+
+    "held": the last reading repeats. "joined": straight lines between the readings. None: the sensor is not slower.
+    """
     if len(values) < _FEWEST or np.ptp(values) == 0.0:
         return None
     count = smallest_step(values)
@@ -120,7 +123,7 @@ def readings(time: Array, values: Array, kind: Kind) -> Readings:
 
 
 def stamped(time: Array, values: Array) -> Readings:
-    """Return the readings of a channel (n,) that another device stamped at time (n,), s, NaN where it did not."""
+    """Return the readings of a channel (n,) that another device stamps. time (n,): its stamps, s; NaN without one."""
     row = np.flatnonzero(np.isfinite(time) & (np.diff(time, prepend=np.nan) != 0.0))
     return Readings(row, time[row], values[row])
 
@@ -207,7 +210,10 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
 
 
 def _is_held(values: Array, count: float) -> bool:
-    """Return whether values repeat while the motion changes by counts at each tick (a fast sensor's do not)."""
+    """Return whether values (n,) repeat where the motion is so fast that a fast sensor would change at each tick.
+
+    count: the smallest step of the values.
+    """
     changes = np.flatnonzero(np.diff(values)) + 1
     if len(changes) < _FEWEST:
         return False
@@ -258,7 +264,10 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
 
 
 def _numbered(steps: Array) -> Array:
-    """Return the index (m + 1,) of readings at these distances (m,), s, allowing for missing readings."""
+    """Return the number (m + 1,) of each reading, counted from the first; missing readings are counted too.
+
+    steps (m,): the times between successive readings, s.
+    """
     usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
     for _ in range(2):  # steps of two and three ticks have a mean of neither
         counts = np.maximum(np.round(steps / usual), 1.0)
@@ -357,7 +366,10 @@ def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lines (k, 2), with those lines of only two samples that lie between two of them."""
+    """Return all lines (k, 2): the given ones, and the lines of only two samples between them.
+
+    lines: the first and the last sample of each line of three or more samples.
+    """
     left = lines[1:, 0] - lines[:-1, 1] - 1
     pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * _MOST_SHORT), left // 2, 0)
     within = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)

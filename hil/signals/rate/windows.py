@@ -233,9 +233,9 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
 
 
 def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window | None:
-    """Return the window `found` if its polynomials follow the motion, except for samples beside jumps; else None.
+    """Return the window `found` if its polynomials follow the motion except beside jumps of the acceleration.
 
-    torque, own: see `_jumping`.
+    None if they do not. time, dtheta, torque (n,): s, rad and N m. own: standard deviation of the torque's noise, N m.
     """
     if smoothed_away(found.slope, time, dtheta, found.of_deflection) <= found.unseen:
         return _jumping(found, time, dtheta, torque, own)
@@ -250,10 +250,11 @@ def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: fl
 
 
 def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: float) -> Window:
-    """Return the window `found`, with samples beside jumps of the acceleration left out if an inertia would react to
-    them.
+    """Return the window `found`. If smoothing would change the torque of the joint's inertia, the window leaves out the
+    samples beside jumps of the acceleration.
 
-    torque (n,): N m; it shows the inertia if there is one. own: standard deviation of the torque's noise, N m.
+    time, dtheta (n,): s and rad. torque (n,): N m; the inertia is estimated from it. own: standard deviation of the
+    torque's noise, N m.
     """
     _, rate, acceleration = found.moved(time, dtheta)
     apart = _differing(time, dtheta, acceleration, _NARROW, order=2)
@@ -292,9 +293,7 @@ def smoothed_away(
 
 
 def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
-    """Return the sum of squares of the known rates (n,), rad/s, or only of some rows: between two rests few rows
-    move.
-    """
+    """Return the sum of squares of the known rates (n,), (rad/s)^2. rows (n,): the samples that count; all if None."""
     return float(np.nansum(np.square(rate) if rows is None else np.square(rate[rows])))
 
 
@@ -315,8 +314,7 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
 
 
 def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
-    """Return the standard deviation of the noise of a torque (n,), N m, or the smallest noise that matters if that is
-    larger.
+    """Return the standard deviation of the noise of a torque (n,), N m, but at least GAIN_ERROR times the torque's.
 
     cell: the torque cell's own readings, if there are fewer of them than samples.
     """
@@ -380,7 +378,7 @@ def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
 
 
 def _differing(time: Array, dtheta: Array, rate: Array, halves: tuple[int, ...], order: int = 1) -> Array:
-    """Return the difference, rad/s, between the rate (n,) and the rates of other windows.
+    """Return the largest difference (n,), rad/s, between the rate (n,) and the rates of other windows.
 
     halves: the other windows, neighbours on each side; the rate itself may come from one of them. order: 2 for an
     acceleration, rad/s^2.

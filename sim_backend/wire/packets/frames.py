@@ -113,7 +113,9 @@ def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class Taken(NamedTuple):
-    """What a stream of bytes begins with: a packet, or junk if `frame` is None; and its number of bytes."""
+    """The beginning of a stream of bytes. frame: its packet; None if the stream begins with bytes of no packet. used:
+    the number of bytes of the packet, or of those bytes.
+    """
 
     frame: Frame | None
     used: int
