@@ -301,7 +301,7 @@ def _outcome(
     """Return the best chromosomes, the fitness and the history of the trials `running`, and the work of this run.
 
     grid: the generations at which the history has a point. before: the number of evaluations before this run. seconds:
-    its processor time. again: a function that returns the first population of a trial, which the search has overwritten.
+    its processor time. again: a function that returns the first population of a trial, which the search overwrote.
     """
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])

@@ -85,10 +85,17 @@ def _which(found: Identification) -> str:
     """Return which Kc was used, in words; "" if the model has no other stiffness."""
     if on := found["Kc"].depends_on:
         return f"Kc depends on the {on}: the middle of its range counts, and the intervals span the range"
+    return f"{line}: {equation(found.model)}" if (line := constant_part_line(found)) else ""
+
+
+def constant_part_line(found: Identification) -> str:
+    """Return that Kc is only a part of the stiffness, if the model's other terms change the stiffness; else ""."""
     terms = found.model.terms[1:] if isinstance(found.model, CouplingModel) else ()
-    if not any(term.pushed or term.remaining or term.load or term.forgets for term in terms):
+    if found.estimates[0].depends_on or not any(
+        term.pushed or term.remaining or term.load or term.forgets for term in terms
+    ):
         return ""
-    return f"the stiffness changes with the motion, and only Kc counts, the factor of x in {equation(found.model)}"
+    return "the stiffness changes with the motion: Kc is its constant part, the factor of x in the model"
 
 
 _Defined = tuple[str, str, Callable[[float, float], float]]  # unit, meaning, and the formula of Kc and Bc

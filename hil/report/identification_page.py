@@ -12,7 +12,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import units_of
 from hil.recording.interval import named
 from hil.recording.reader import Recording
-from hil.report.controller import controller_line, controller_rows
+from hil.report.controller import constant_part_line, controller_line, controller_rows
 from hil.report.html_page import Page, Picture, Section, table_rows, write
 from hil.report.identification import (
     bands_table,
@@ -28,7 +28,7 @@ from hil.report.identification import (
     verdicts,
 )
 from hil.report.identification_json import as_json
-from hil.report.lack_of_fit import distortion_lines
+from hil.report.lack_of_fit import distortion_lines, lack_of_fit_line
 from hil.report.pictures.recording import recording_chart
 from hil.report.pictures.result import pictures
 from hil.report.provenance import provenance
@@ -63,7 +63,8 @@ def _sections(found: Identification) -> list[Section]:
     headings, *numbers = table_rows(estimates_table(found))
     rows = [[*row, meanings.get(one.name, "")] for row, one in zip(numbers, found.estimates, strict=True)]
     model = (f"model: {meaning(found.model)}", equation(found.model))
-    lines = [*filter(None, model), *identification_lines(found)]
+    fit = lack_of_fit_line(found.lack_of_fit) if found.lack_of_fit else ""
+    lines = [*filter(None, (*model, constant_part_line(found), fit)), *identification_lines(found)]
     sections = [Section("Numbers, with 95 % intervals", [[*headings, "meaning"], *rows], lines)]
     loop = controller_rows(found, milli=milli(found))
     table = [("", "value", "95 % interval", ""), *loop] if loop else []

@@ -38,6 +38,18 @@ def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:
     }
 
 
+def lack_of_fit_line(found: LackOfFit) -> str:
+    """Return in words whether the model describes the recording, and which part of the residuals follows from the
+    motion.
+    """
+    result = "found no relevant misfit of the model"
+    if found.misfit:
+        result = "found a misfit: the model does not describe the recording"
+    elif found.is_undecided:
+        result = "cannot decide, because the recording is too short"
+    return f"the lack-of-fit tests {result}; the motion predicts {found.share:.1%} of the residuals' power"
+
+
 def dynamic_stiffness_json(found: DynamicStiffness | None) -> dict[str, Any] | None:
     """Return the entry "dynamic_stiffness" of the JSON object, SI units; None if the recording is too short."""
     if found is None:

@@ -151,7 +151,7 @@ def _branch(number: int, needs: str) -> Term:
 
 LINEAR: Final = Term(
     "linear",
-    "a spring Kc and a damper Bc, the paper's equation 3",
+    "a spring Kc and a damper Bc in parallel",
     (
         Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True),
         Parameter("Bc", "N*m*s/rad", "damping of the coupling", "damping", positive=True),

@@ -8,6 +8,7 @@ from hil.report.chart import Chart, Panel
 from hil.report.formatting import people_unit
 from hil.report.html_page import Picture
 from hil.report.identification import headline, milli
+from hil.report.lack_of_fit import lack_of_fit_line
 from hil.report.pictures import checks, estimates, search
 from hil.report.pictures.canvas import mosaic
 from hil.report.pictures.traces import Traces
@@ -48,9 +49,7 @@ def pictures(found: Identification) -> list[Picture]:
     text = checks.residuals_text(found)
     shown = [*fit_pictures(found), Picture("residuals", "Residuals", text, lambda: checks.residuals_chart(found))]
     if (misfit := found.lack_of_fit) is not None:
-        words = "the model does not describe the recording" if misfit.misfit else "no misfit was found"
-        share = f"the motion predicts {misfit.share:.1%} of their power"
-        text = f"Residuals beside the earlier motion, and over deflection and rate: {words}; {share}."
+        text = f"Residuals beside the earlier motion, and over deflection and rate: {lack_of_fit_line(misfit)}."
         heading = "Does the model describe the recording?"
         shown.append(Picture("fit", heading, text, lambda: checks.lack_of_fit_chart(found, misfit)))
     text = estimates.intervals_text(found)
@@ -85,8 +84,8 @@ def fit_pictures(found: Identification) -> list[Picture]:
         Picture(
             "loop",
             "Torque over deflection",
-            f"The loop of torque over deflection, measured and modelled: its slope is Kc, its width is friction and "
-            f"damping. {headline(found)}.",
+            f"The loop of torque over deflection, measured and modelled: its slope shows the stiffness, its width "
+            f"friction and damping. {headline(found)}.",
             lambda: Chart([traces.loop()]),
         ),
         Picture(

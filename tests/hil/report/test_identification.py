@@ -55,7 +55,8 @@ def test_a_page_states_the_model_as_an_equation_and_names_every_sign(rich: Ident
     assert "tau = Kc*x + Bc*v + tau0 + drift*t + Fc*sign(v) + K3*x^3 (tau: torque at the joint; x: deflection" in page
     for parameter in rich.model.linear:
         assert f"<td>{parameter.meaning}</td>" in page
-    assert "a spring Kc and a damper Bc, the paper&#39;s equation 3; a constant torque" in page
+    assert "a spring Kc and a damper Bc in parallel; a constant torque" in page
+    assert "Kc is its constant part, the factor of x in the model" in page  # the term cubic changes the stiffness
     assert equation(parse("linear+skew")).startswith("tau = Kc*x + Bc*v; x and v are those of the time t - skew (")
 
 
@@ -69,6 +70,16 @@ def test_a_page_says_why_the_average_is_not_the_optimum_where_either_stands(
     page = write_page(averaged, tmp_path / "r.html", force=True).read_text(encoding="utf-8")
     assert page.count(f"{exact} {1e3 * kc.exact:.5g} mN m/rad") == 2  # beside the numbers, and beside the optimum
     assert exact not in write_page(found, tmp_path / "s.html", force=True).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("unexplained", "said"), [(0.0, "found no relevant misfit"), (0.5, "found a misfit")])
+def test_the_first_page_says_whether_the_model_describes_the_recording(
+    found: Identification, tmp_path: Path, unexplained: float, said: str
+) -> None:
+    assert found.lack_of_fit is not None
+    tested = replace(found, lack_of_fit=replace(found.lack_of_fit, unexplained=unexplained))
+    page = write_page(tested, tmp_path / "r.html", force=True).read_text(encoding="utf-8")
+    assert f"<p>the lack-of-fit tests {said}" in page.partition("<details")[0]
 
 
 def test_pooled_recordings_say_why_their_interval_is_what_it_is(found: Identification) -> None:
