@@ -185,7 +185,10 @@ class Node:
             )
         shown = self.objects.get(_MODE_DISPLAY, signed=True)
         if shown != self.profile.mode:
-            raise DriverError(f"the drive is in mode {shown}, not {self.profile.mode}: nothing was driven")
+            raise DriverError(
+                f"the drive is in mode {shown}, not {self.profile.mode}: no set-point was sent; "
+                f"check that the drive supports mode {self.profile.mode}"
+            )
 
     def _require_abort_option(self) -> None:
         try:

@@ -249,11 +249,11 @@ def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> 
 
 
 def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
-    """Return the covariance (p, p) of the least absolute deviations, A^-1 B A^-1. misfit: (n,) N m, from `_misfit`.
+    """Return the covariance (p, p) of parameters that are estimated by least absolute deviations: A^-1 B A^-1.
 
-    A is twice the sum of x x' times the density of the residual at zero; B is the covariance of the sum of x times the
-    sign of the residual. Where the misfit is larger than the noise, the noise hardly changes that density and that
-    sign.
+    misfit (n,): the torque that the model does not describe, N m. A is twice the sum of x x' times the density of the
+    residual at zero; B is the covariance of the sum of x times the sign of the residual. Where the misfit is larger
+    than the noise, the noise hardly changes that density and that sign.
     """
     from scipy.special import ndtr
 

@@ -27,7 +27,7 @@ LINEAR: Final = 0.15
 LOST_MOTION: Final = 0.03
 """The share of the rated torque at which lost motion is taken (Nabtesco, Spinea)."""
 _REACHED: Final = 0.97
-"""The share of the torque reached that is taken as rated; rows above it belong to the reversal, or the torque rests."""
+"""The rated torque, if it is not given, in parts of the torque reached: above it the torque reverses or rests."""
 _FEWEST: Final = 3
 """The smallest number of points of a line."""
 
@@ -150,7 +150,10 @@ def _stiffness(branches: Sequence[Branch], parts: Sequence[tuple[float, float]])
 
 
 def _rated(cut: Mapping[str, Sequence[Branch]]) -> float:
-    """Return the torque, N m, that the loading branches of every test reach in each direction that they have."""
+    """Return the torque, N m, that is taken as rated: `_REACHED` of what every test reaches, loading in each direction.
+
+    0 if no branch is loading.
+    """
     reached = []
     for branches in cut.values():
         for sign in (1, -1):
@@ -211,7 +214,7 @@ def _joined(stroke: Sequence[Branch]) -> tuple[Array, Array]:
 
 
 def _unloaded(stroke: Sequence[Branch]) -> float:
-    """Return the angle of a stroke at zero torque, rad: where it ends to unload, or else begins to load."""
+    """Return the angle of a stroke at zero torque, rad: at the end of unloading, or else at the start of loading."""
     nearest = slice(None, _FEWEST) if stroke[0].loading else slice(-_FEWEST, None)
     torque, angle = stroke[0].torque[nearest], stroke[0].angle[nearest]
     line = np.polynomial.Polynomial.fit(torque, angle, 1 if np.ptp(torque) > 0.0 else 0)
