@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.recording.channels import CHANNELS
-from hil.recording.writer import Header, write
-from hil.stand.file import load
 
 _NUMBER = count(1)
 
@@ -27,6 +25,9 @@ def recorded(arrays: Mapping[str, Any], stand: Path | None) -> Path:
     arrays: by channel, numbers in SI or pint quantities, each (n,); None is left out, a NaN is a missing reading.
     Raises WrongUse for a channel that is missing, and for arrays that are no numbers or not of one length.
     """
+    from hil.recording.writer import Header, write
+    from hil.stand.file import load
+
     given = {name: _numbers(name, values) for name, values in arrays.items() if values is not None}
     missing = [name for name in ("time", "torque", "dtheta") if name not in given]
     if missing:

@@ -1,4 +1,7 @@
-"""The results of `hil.identify` and `hil.compare`: numbers, tables, pictures and reports."""
+"""The results of `hil.identify` and `hil.compare`: numbers, tables, pictures and reports.
+
+What only a report or a picture needs is imported there: it is a tenth of the start of `hil identify`.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,9 @@ from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy
 from hil.identification.compare import Comparison, Repeated
 from hil.identification.result import Estimate, Identification
-from hil.report import comparison as comparison_report
 from hil.report import identification as identification_report
-from hil.report import identification_json, identification_page
+from hil.report import identification_json
 from hil.report.controller import PHASE_MARGIN, Controller, controller
-from hil.report.html_page import table_lines, table_rows
-from hil.report.pictures import canvas, files, result
-from hil.report.pictures.traces import modelled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,6 +109,8 @@ class IdentificationResult:
     @property
     def predicted(self) -> NDArray[np.float64]:
         """The model's torque at the joint (n,), N m, for each row that was used."""
+        from hil.report.pictures.traces import modelled
+
         return modelled(self.identification)
 
     @property
@@ -119,6 +120,8 @@ class IdentificationResult:
 
     def summary(self) -> str:
         """Return the answer, the table of the parameters, the warnings and the quality of the fit as text."""
+        from hil.report.html_page import table_lines
+
         said = (f"{one.severity} [{one.code}]: {one.message}" for one in self.diagnostics)
         lines = map(in_python, identification_report.identification_lines(self.identification))
         return "\n".join([str(self), *table_lines(self._rows()), *said, *lines])
@@ -131,6 +134,8 @@ class IdentificationResult:
         return f"<p><b>{escape(str(self))}</b></p><table>{table}</table>{said}"
 
     def _rows(self) -> list[list[str]]:
+        from hil.report.html_page import table_rows
+
         return table_rows(identification_report.estimates_table(self.identification))
 
     def as_json(self) -> dict[str, Any]:
@@ -141,6 +146,8 @@ class IdentificationResult:
         """Return a figure: measured and modelled torque, residuals, the torque-deflection loop and the diagnostic
         checks.
         """
+        from hil.report.pictures import result
+
         return result.figure(self.identification)
 
     @worded
@@ -149,11 +156,15 @@ class IdentificationResult:
 
         command: the command or script that made the result, printed in the report. force: replace an existing file.
         """
+        from hil.report import identification_page
+
         return identification_page.write_page(self.identification, Path(path), command, force=force)
 
     @worded
     def save_plots(self, folder: AnyPath, *, force: bool = False) -> list[Path]:
         """Write every picture of the report as a PNG into a folder, and return their paths. Raises WrongUse."""
+        from hil.report.pictures import files, result
+
         return files.write_pictures(result.pictures(self.identification), Path(folder), force=force)
 
 
@@ -174,6 +185,8 @@ class NoResult(Untrustworthy):
 
         command: the command or script that was run. force: replace an existing file.
         """
+        from hil.report import identification_page
+
         return identification_page.write_failure(
             str(self), self.recordings, self.as_json(), Path(path), command, force=force
         )
@@ -209,13 +222,18 @@ class ComparisonResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil compare --json`."""
-        return comparison_report.as_json(self.comparison)
+        from hil.report import comparison
+
+        return comparison.as_json(self.comparison)
 
     def plot(self) -> Figure:
         """Return a figure: each parameter over the recordings with its interval, and the interval of all recordings
         together.
         """
-        return canvas.drawn(comparison_report.chart(self.comparison))
+        from hil.report import comparison
+        from hil.report.pictures import canvas
+
+        return canvas.drawn(comparison.chart(self.comparison))
 
     @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
@@ -223,4 +241,6 @@ class ComparisonResult:
 
         command: the command or script that made the result, printed in the report. force: replace an existing file.
         """
-        return comparison_report.write_page(self.comparison, Path(path), command, force=force)
+        from hil.report import comparison
+
+        return comparison.write_page(self.comparison, Path(path), command, force=force)
