@@ -23,7 +23,8 @@ from hil.exchange.wanted import MODES, Column, Part, dimension_of_command, give,
 from hil.recording.channels import CHANNELS
 from hil.recording.interval import rows_between
 from hil.recording.writer import Header, write
-from hil.signals.plausibility import GROSS, Swing, excess, implausible, in_words
+from hil.signals.constants import GROSS
+from hil.signals.plausibility import Swing, excess, implausible, in_words
 from hil.stand.file import Stand
 from hil.stand.transmission import Transmission, Zero
 

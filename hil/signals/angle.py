@@ -5,20 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import MANY, NEARLY_ALL, SPREAD, TURN
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-_FAR = 1.5  # times the range of the angle
-_NEAR = 0.1  # of a jump or of a wrong reading's distance, that other steps and its neighbours may have
-_SMALL = 0.25  # of a turn, up to which a joint may move between two readings
-_SEVERAL = 3  # jumps, from which a range that is no turn is certain
-_USUAL = 5.0  # times the usual step of the torque, up to which it goes on at a jump
-_LONGEST = 0.5  # s without any change, from which on a reading may be frozen
-_MOVED = 0.3  # of the torque's range, that nearly all of it covers while the reading is frozen
-_ODD = 20.0  # times the usual distance from its neighbours' cubic, or counts, from which a reading may be wrong
-_BESIDE = 65  # readings around one, by which that distance is usual there; a burst has fewer
-_SLOWER = 10.0  # times the usual time between two changes of the reading
 
 
 def difference(order: int) -> Array:
@@ -42,12 +31,12 @@ def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
     the torque is continuous: behind a gear, the encoder's range can have any size.
     """
     steps = np.diff(angle)
-    whole = np.round(steps / TURN)
-    if whole.any() and np.ptp(angle) <= TURN and np.abs(steps - TURN * whole).max() <= _SMALL * TURN:
-        return np.unwrap(angle, period=TURN), int(np.count_nonzero(whole))
-    jumps = np.abs(steps) > _NEAR * np.abs(steps).max(initial=0.0)
+    whole = np.round(steps / c.TURN)
+    if whole.any() and np.ptp(angle) <= c.TURN and np.abs(steps - c.TURN * whole).max() <= c.LARGEST_STEP * c.TURN:
+        return np.unwrap(angle, period=c.TURN), int(np.count_nonzero(whole))
+    jumps = np.abs(steps) > c.BESIDE_JUMP * np.abs(steps).max(initial=0.0)
     size = _range_of(steps, jumps)
-    turns = [turn for turn in (TURN, 0.5 * TURN) if abs(size - turn) < _NEAR * turn]
+    turns = [turn for turn in (c.TURN, 0.5 * c.TURN) if abs(size - turn) < c.BESIDE_JUMP * turn]
     if turns:
         return np.unwrap(angle, period=turns[0]), int(np.count_nonzero(jumps))
     if not size or not _goes_round(angle, torque, jumps, size):
@@ -59,14 +48,14 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
     """Return the range of the encoder, rad, that explains all these jumps (n,) among the steps (n,) of an angle; 0 if
     none does.
     """
-    if not jumps.any() or np.count_nonzero(jumps) > MANY * len(steps):
+    if not jumps.any() or np.count_nonzero(jumps) > c.MANY * len(steps):
         return 0.0
     # the joint moved on during the jump, as it did before
     places = np.flatnonzero(jumps)
     before = np.where(places > 0, np.where(jumps[places - 1], 0.0, steps[places - 1]), 0.0)
     sizes = np.abs(steps[places] - before)
     size = float(np.median(sizes))
-    return size if float(np.abs(sizes - size).max()) < _NEAR * size else 0.0
+    return size if float(np.abs(sizes - size).max()) < c.BESIDE_JUMP * size else 0.0
 
 
 def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
@@ -79,9 +68,11 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
     first = angle[:-1][jumps]
     at_ends = np.minimum(first - low, high - first) <= 2.0 * usual
     changes = np.abs(np.diff(torque))
-    goes_on = float(np.median(changes[jumps])) <= _USUAL * float(np.median(changes)) + 1e-12 * float(np.ptp(torque))
+    goes_on = float(np.median(changes[jumps])) <= c.TORQUE_STEP * float(np.median(changes)) + 1e-12 * float(
+        np.ptp(torque)
+    )
     return (
-        int(np.count_nonzero(jumps)) >= _SEVERAL
+        int(np.count_nonzero(jumps)) >= c.SURE_JUMPS
         and high - low <= size + 2.0 * usual
         and bool(at_ends.all())
         and goes_on
@@ -100,12 +91,12 @@ def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
         return wrong
     far = far[(far >= 2) & (far < len(off) - 2)]
     around = off[far[:, None] + np.arange(-2, 3)] - off[far, None] * _CUBIC / _CUBIC[2]
-    far = far[np.abs(around).max(axis=1, initial=0.0) < _NEAR * np.abs(off[far])]
+    far = far[np.abs(around).max(axis=1, initial=0.0) < c.BESIDE_JUMP * np.abs(off[far])]
     # stamps that jitter move every reading of a fast motion, and some of them alone
-    first = np.clip(far - _BESIDE // 2, 0, max(len(off) - _BESIDE, 0))
-    beside = np.abs(off[first[:, None] + np.arange(min(_BESIDE, len(off)))])
-    wrong[far[np.abs(off[far]) > _ODD * SPREAD * np.median(beside, axis=1)] + 2] = True
-    return wrong if np.count_nonzero(wrong) <= MANY * len(angle) else np.zeros_like(wrong)
+    first = np.clip(far - c.BURST // 2, 0, max(len(off) - c.BURST, 0))
+    beside = np.abs(off[first[:, None] + np.arange(min(c.BURST, len(off)))])
+    wrong[far[np.abs(off[far]) > c.WRONG_READING * c.SPREAD * np.median(beside, axis=1)] + 2] = True
+    return wrong if np.count_nonzero(wrong) <= c.MANY * len(angle) else np.zeros_like(wrong)
 
 
 def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -118,7 +109,7 @@ def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     off = np.convolve(angle - angle.mean(), _CUBIC, mode="valid")
     least = float(np.abs(np.diff(angle))[np.diff(angle) != 0.0].min(initial=np.inf))
-    limit = _ODD * max(SPREAD * float(np.median(np.abs(off))), least)
+    limit = c.WRONG_READING * max(c.SPREAD * float(np.median(np.abs(off))), least)
     far = np.flatnonzero(np.abs(off) > limit)
     return off, far[~(np.abs(_off_in_time(time, angle, far + 2)) <= limit)]
 
@@ -146,7 +137,7 @@ def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     wrong = np.zeros(len(angle), dtype=bool)
     angle = unwrapped(angle, torque)[0] if len(angle) else angle
     off, far = _far(time, angle)
-    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > _BESIDE) + 1) if part.size]
+    groups = [part for part in np.split(far, np.flatnonzero(np.diff(far) > c.BURST) + 1) if part.size]
     rows = [slice(int(part[0]) + 1, int(part[-1]) + 4) for part in groups]
     for part in rows:
         wrong[part] = True
@@ -162,8 +153,8 @@ def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
         stays = 2.0 * np.linalg.norm(carried[near]) < np.linalg.norm(off[near])
         first = min(part.start, int(changes[np.searchsorted(changes, part.start + 1, "right") - 1]))
         last = max(part.stop, int(changes[np.searchsorted(changes, part.stop - 2, "right")]))
-        wrong[first:last] = jumps and stays and last - first < _BESIDE
-    return wrong if np.count_nonzero(wrong) <= MANY * len(angle) else np.zeros_like(wrong)
+        wrong[first:last] = jumps and stays and last - first < c.BURST
+    return wrong if np.count_nonzero(wrong) <= c.MANY * len(angle) else np.zeros_like(wrong)
 
 
 def far_zero(angle: Array) -> float:
@@ -172,7 +163,7 @@ def far_zero(angle: Array) -> float:
     """
     low, high = float(angle.min()), float(angle.max())
     middle = 0.5 * (low + high)
-    return middle if abs(middle) > _FAR * (high - low) else 0.0
+    return middle if abs(middle) > c.FAR_ZERO * (high - low) else 0.0
 
 
 def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
@@ -187,7 +178,9 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     lasted = time[edges[1:] - 1] - time[edges[:-1]]
     found = np.zeros(len(angle), dtype=bool)
     usual = float(lasted.sum() - lasted.max()) / (len(lasted) - 1)
-    for at in np.flatnonzero(lasted > max(_LONGEST, _SLOWER * usual)).tolist():
+    for at in np.flatnonzero(lasted > max(c.FROZEN_TIME, c.FROZEN_STEPS * usual)).tolist():
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
-        found[rows] = np.ptp(np.quantile(torque[rows], (1.0 - NEARLY_ALL, NEARLY_ALL))) > _MOVED * np.ptp(torque)
+        found[rows] = np.ptp(np.quantile(torque[rows], (1.0 - c.NEARLY_ALL, c.NEARLY_ALL))) > c.FROZEN_TORQUE * np.ptp(
+            torque
+        )
     return found

@@ -1,9 +1,15 @@
-"""Constants that several modules of `hil.signals` and `hil.uncertainty` share, each with its unit and source."""
+"""The numbers of `hil.signals` and `hil.uncertainty`, each with its unit; the limits of trust are in
+`hil.uncertainty.criteria`.
+
+The source is a paper or a study in `benchmarks/`, and stands beside the number. Where none stands, none is recorded.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import Final
+
+import numpy as np
 
 NORMAL: Final = 1.959964
 """Half a 95 % interval of a normal distribution, in standard deviations."""
@@ -66,3 +72,232 @@ PREDICTED: Final = 0.02
 
 FALSE_ALARMS: Final = 0.002
 """The probability that a test finds an effect or a difference that does not exist."""
+
+# Time stamps
+PACE_ROWS = 20  # samples over which the usual pace is taken: more than arrive in one packet
+APART = 4.0  # usual steps between two samples, above which they belong to two pieces
+SHORTEST_PIECE = 8  # samples of a piece, below which nothing is interpolated on it
+SAME_PACKET = 0.2  # of a usual step, below which two rows were stamped when one packet arrived
+IN_PACKETS = 0.3  # part of such steps from which rows arrive in packets; samples at random times have 0.18
+PACKET_LATE = 1.2  # times between two packets, by which the rows of a packet are stamped too late at most
+ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of the unit
+UNIT_RANGE = 1.05  # of a unit: the largest range of the rounding errors of stamps, with the error of a fitted pace
+# s, units to which stamps are often rounded: decimals, and what numbers of single precision hold
+UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
+STAMPS = 1000  # stamps at each end of a recording from which their unit is found
+
+# Faults of an angle
+FAR_ZERO = 1.5  # ranges of the motion, above which the angle's zero is far from it
+BESIDE_JUMP = 0.1  # of a jump or a wrong reading, the most that other steps and its neighbours may have of it
+LARGEST_STEP = 0.25  # of a turn, the most that a joint moves between two readings
+SURE_JUMPS = 3  # jumps from which a range of the encoder that is no whole turn is certain
+TORQUE_STEP = 5.0  # usual steps of the torque, up to which it is continuous at a jump of the angle
+FROZEN_TIME = 0.5  # s without a change, from which a reading may be frozen
+FROZEN_STEPS = 10.0  # usual times between two changes, from which a reading may be frozen
+FROZEN_TORQUE = 0.3  # of the torque's range, that the torque covers while a frozen angle stands still
+WRONG_READING = 20.0  # usual distances from the neighbours' cubic, or counts, from which a reading may be wrong
+BURST = 65  # readings around one that give the usual distance; a burst of wrong readings is shorter
+
+# Rows that are not used
+CLIPPED_TIMES = 3  # times that a torque reached its largest value, from which this may be the sensor's end
+CLIPPED_COUNT = 3.0  # times as many readings at the sensor's end as at any level below: a peak has fewer
+CLIPPED_LEVELS = 6  # levels of the torque that are compared, the largest one included
+CLIPPED_MOTION = 5.0  # levels of the torque, by which the joint moves on at the sensor's end
+CLIPPED_BESIDE = 5  # rows on each side of a clipped one, which noise may keep just below the end
+SHORTEST_STEP = 1e-9  # s between two samples, below which the unit of the time is wrong
+STILL_ANGLE = 1e-9  # rad peak to peak, below which an angle never changes
+STILL_TORQUE = 1e-15  # N m peak to peak, below which a torque never changes
+
+# Noise of the deflection
+WHITE_COUNTS = 40.0  # counts of the motion, peak to peak, below which rounding follows it and is not white noise
+FEW_COUNTS = 20.0  # counts of the motion, peak to peak, below which a warning says that they are few
+SKEW_INFLATION = 1000.0  # variance inflation from which model selection includes no skew
+HALF_SEGMENT = 32  # samples of half a segment of the spectra that give the noise of two channels
+SHARED_BY_CHANCE = 1.4  # segments' worth of power that two channels share by chance
+LESS_NOISE = 0.9  # of a noise, below which less of it is certain; of white noise the estimate is 0.97 to 1.03
+AVERAGED_BY_SKEW = 1.5  # of the noise's power, per time between two readings, that a skew gains at most by averaging
+
+# Plausibility
+GROSS = 3.0  # times the stand's limit, above which the unit of a channel must be wrong
+OVER_LIMIT = 1.1  # times the stand's limit, that a recorder reaches before it turns the torque off
+UNDER_LIMIT = 1e-3  # of the stand's limit, below which a unit does not explain the readings
+ODD_STIFFNESS = 1000.0  # times the ratio of the stand's limits, or one over it, beyond which a unit may be wrong
+SIGN_LEFT = 0.5  # of the torque's variance, that a coupling with a wrong sign may leave unexplained
+SIGN_SURE = 10.0  # standard errors of independent residuals, by which a stiffness must be negative
+
+# Quality of a recording
+POOR_SNR = 20.0  # dB, below which a warning says that the torque is hardly above its noise
+LOST_ROWS = 0.01  # part of the rows, lost or saturated, from which a warning says so
+SPARSE = 0.2  # periods of the motion between two readings, above which readings do not show it
+UNSURE_AGE = 0.1  # of a tick, from which a warning says that the age of readings is uncertain
+SLOW_TO_READ = 500_000  # rows of a recording from which progress is shown
+PROBE = 1_000_000  # first rows of a long recording, from which columns and windows are chosen
+MARGIN = 256  # rows beyond the windows of a block, in place of rows that were lost
+
+# Local polynomials (Savitzky and Golay 1964; benchmarks/results/rate_windows.csv has the noise by degree)
+DEGREE = 7  # degree of the polynomial: a wide window, which averages noise, has a flat gain
+SHARED_WINDOWS = 4  # half windows over one, the number of windows that share their sums
+BLOCK_LENGTH = 1.3  # length of such a block over its shortest window, at most; beside a gap it holds fewer
+SINGULAR = 1e-14  # of a diagonal element after elimination, below which the stamps determine no polynomial
+THREAD_SAMPLES = 32_768  # samples that a thread processes at a time
+RATE_NOISE = 0.01  # of the rate's r.m.s., the noise that lowers Bc by 0.01 %
+HIDDEN_NOISE = 0.3  # of the torque's own noise, that noise of the rate may add to it through Bc
+UNSEEN_ERROR = 0.5  # of that, if the error follows from the motion: the lack-of-fit tests detect more
+FELT_INERTIA = 0.05  # of the torque's own noise, that smoothing may take off the torque of an inertia
+NARROWEST = 6  # neighbours a side of the narrowest window
+WIDEST = 250  # neighbours a side of the widest window
+WINDOWS = 20  # windows side by side for which a recording must have room: few rows lie near its ends
+NARROWER = 0.8  # width of a window over that of the next wider one that is tried
+OTHER_WINDOWS = (9, 12)  # neighbours a side, at most, of the windows that show where the rate is wrong
+OTHER_WIDER = (1, 3)  # neighbours a side by which these windows are wider than the one in use
+SMOOTH_POWER = 0.6  # of the rate's power, that must remain if samples beside jumps are left out
+FOLLOWED = 0.27  # periods of the motion in a sample, up to which a low-pass follows it
+
+# Low-pass filter (Kaiser 1974; differences of Fornberg 1988)
+ATTENUATION = 70.0  # dB in the stop band; in the pass band the gain is right to 0.03 %
+BETA = 0.1102 * (ATTENUATION - 8.7)  # parameter of the window, by Kaiser's formula
+FLAT = 12  # neighbours a side of the differences: right to 0.06 % up to 0.28 periods in a sample
+PASSED = 1.1  # times the highest frequency of the motion, the end of the pass band
+STOPPED = 1.6  # times the highest frequency of the motion, the beginning of the stop band
+NYQUIST = 0.9  # of half the sampling rate, below which the stop band must begin
+BRIDGED = 4.0  # steps between two samples, up to which the readings between them are interpolated
+LEFT_BY_FILTER = 0.8  # of the samples, that the low-pass must leave
+KEPT_WEIGHTS = 100_000  # samples whose weights, 20 MB, are kept for the next columns at the same stamps
+EVEN = 1e-3  # of a step, within which stamps are even
+
+# Spectrum of the deflection
+OUTSIDE_BAND = 0.01  # of the deflection's power below the band, and of the rate's above it
+MEDIAN_POWER = 0.934  # median over mean of the power of five lines of white noise together
+ABOVE_FLOOR = 10.0  # times the density of the noise, above which there is motion
+ABOVE_ROUNDING = 1.3  # times the power of rounding, below which no motion is left above a frequency
+RIPPLE_BEGINS = 2.5  # times the highest frequency of the motion, above which there may be ripple
+RIPPLE_RISES = 7.0  # times the least density between motion and ripple, that the ripple reaches
+TAPER = 0.02  # of a recording, that is tapered at each end
+
+# A recorded rate
+LONGEST_LAG = 0.5  # of the shortest period, the longest lag of a recorded rate that is tried
+LAGS = 16  # lags a side that are tried first
+SAME_ERRORS = 0.95  # correlation of the errors of two rates, from which they are the same
+INDEPENDENT = 2.0  # independent samples in the shortest period of the band
+
+# Sensors that are slower than the rows
+FEWEST_READINGS = 30  # readings from which a sensor's pace is estimated
+COUNTS_A_TICK = 2.0  # counts in a tick, from which a fast sensor does not repeat a count
+HELD = 0.2  # part of the moving samples that repeat, from which readings are held
+UNEVEN_PACE = 0.35  # of a pace, by which it varies at most
+CHANCE_PACE = 0.1  # ticks squared, the variance of a pace by chance
+OFF_PACE = 0.6  # of the time between two ticks, by which a reading at an even pace may be off
+LOCAL_PACE = 40  # readings over which a pace is even, if that of the whole recording drifts
+MISSING = 1.75  # usual steps, from which a reading is missing
+LONGEST_TICK = 1.5  # usual ticks, above which a tick does not show when a reading was converted
+PACE_READINGS = 2000  # readings that a pace must fit
+BENDS = 49  # deflections, at most, at which a torque of any shape may bend
+READINGS_A_BEND = 20  # readings for each of these deflections
+BRANCHES = 5  # relaxing branches of a torque of any shape, the fastest as fast as the readings
+SLOWEST_BRANCH = 0.05  # of the recording's length, the relaxation time of the slowest branch
+PACE_ROUNDS = 3  # rounds in which age and drift of the readings are fitted
+NO_DRIFT = 1e-9  # of the power of a drift's torque, below which nothing of it is new
+MS = 1e3  # ms in a second: a solver's tolerances suit numbers of about one
+ROUNDED_MS = 1e-6  # ms, the rounding of a bound
+STRAIGHT = 2.1  # counts, up to which three samples are on a line
+SMALL_COUNT = 0.05  # of the usual bend, above which a count hides the corners between lines
+SHARP = 5.0  # times the tolerance of a line, from which a bend is a corner and no smooth motion
+ON_LINES = 0.1  # part of the samples on lines, from which readings may be joined by lines
+ROUGH = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
+ROUNDED_LINES = 0.02  # part of the samples with such bends, from which the values are rounded to some digits
+SMALL_BENDS = 1.31  # part of normal bends below a small part of their 90 % quantile, over that part
+BEYOND_CHANCE = 2.0  # times the part of random bends on lines, from which lines are no chance
+CORNER = 5  # samples around a corner, within which a line begins or ends
+SHORT_LINES = 10  # successive lines of two samples, at most
+CLEAR_CORNER = 10.0  # counts in a tick, by which two lines must differ to place their corner
+
+# A torque that is too late
+LATEST = 0.2  # s, the longest delay of a torque that is tried
+LATE = 0.5  # of the residuals' power, that must remain with the right delay, at most
+DELAYS_A_PERIOD = 40.0  # delays in the shortest period that are tried
+
+# Confidence intervals
+LEAST_ROUNDING = 1e-150  # N m, the least rounding of a residual: sums are divided by it
+TAKES_PART = 1e-5  # of a dependent combination of columns, below which a parameter takes no part in it
+SEGMENT = 32_768  # samples of a segment: residuals further apart count as uncorrelated
+FEWEST_LINES = 8  # spectral lines of a band, at least
+BAND_WIDTH = 0.25  # of a band's lower end, its width: the noise of a drive changes by octaves
+OUTSIDE = 0.005  # probability, on each side, that one more measurement is as far from the others
+VARIANCE_STEPS = 200  # Newton steps: each at least doubles a variance that is far too small
+VARIANCE_ROUNDING = 1e-14  # relative rounding of a weighted sum of squares
+ZERO_SHARE = 0.5  # of the fit's mean error, from which another zero of the torque is stated
+QUARTERS = 4  # parts of a recording, each of which gives an estimate of Kc
+PRECISE = 0.2  # half the interval of such an estimate over its value, above which it is not compared
+SERIES_ROUNDS = 50  # Newton steps of the correction for a fixture
+SERIES_CONVERGED = 1e-12  # relative change at which that correction has converged
+FAR_TAIL = -20.0  # standard deviations, below which a normal distribution's positive part is its tail alone
+
+# Errors of the deflection
+NO_ERROR = 2e-5  # of the power of deflection and rate, below which their errors change nothing
+WEAK_COMMAND = 0.25  # of the information without instruments, below which the command is too weak
+DELAYS = (-1, 0, 1, *(part * 2**octave for octave in range(4) for part in (2, 3)))
+# of the filter from command to motion, in eighths of a period: two an octave
+CORRECTED = 0.1  # of half an interval, from which a parameter is corrected
+STILL = 0.1  # of a count, by which low-passed readings differ at most while the joint rests
+WITHIN = 0.25  # of a count, by which the model's torque differs at most while the joint rests
+RESTS = 10  # such readings in a row, from which the joint rests
+PAIRS = 4  # pairs of simulated errors, of either sign
+ERROR_LEVEL = 0.3  # of a simulated change, its half interval: the size of the errors is not known better
+IN_STEP = 2.5  # times the scatter of shuffled rounding errors, from which rounding follows the motion
+
+# Dynamic stiffness (Pintelon and Schoukens 2012, section 2.7)
+BANDS = 12  # bands, at most
+CYCLES = 3.0  # periods of the lowest frequency in a segment
+SEGMENTS = 8  # segments in all, at least
+SHORTEST_SEGMENT = 32  # samples of a segment, at least
+MAIN_LOBE = 4  # spectral lines of a band, at least: the main lobe of Hann's window
+ALIKE = 2.05  # neighbouring lines and overlapping segments that count as one
+WEAK_BAND = 1e-3  # of the deflection's mean power in all bands, below which a band was not excited
+EMPTY_BAND = 1e-9  # the same of instrument and torque, which may be small where the deflection is large
+ALIGNED = 1e-6  # sine of the angle between deflection and rate in a band, below which K' and B' cannot be separated
+FOLLOWS = 0.4  # of the deflection's power, that follows the command; by chance a fifth does
+TWO_AMPLITUDES = 1.5  # ratio of the larger to the smaller deflections, from which they are shown apart
+PERIODIC = 0.98  # correlation of a deflection with itself a period later
+FADING = 0.9  # the same of a whole run, which fades in and out
+STEADY = 0.1  # of a usual period's energy, by which that of a repetition differs at most
+REPEATED = 2  # periods, at least, whose difference is the noise
+EXCITED = 1e-3  # of the strongest line's amplitude, from which a line is excited
+HARMONICS = 3.0  # times the upper end of the band, up to which distortion is looked for
+
+# Tests for lack of fit
+SMALL_TORQUE = 0.05  # part of the samples, those with the smallest torque
+SOFT = 0.02  # of the r.m.s. rate, within which friction changes its direction
+SMOOTH = 0.05  # periods in a sample, above which a reading is noise
+SHORT_LAG = 1e-3  # s: a shorter lag or delay has the same signature
+TIMES = tuple(np.geomspace(0.002, 0.2, 6).tolist())  # s, at which an effect of the earlier motion is looked for
+LENGTHS = tuple(np.geomspace(0.01, 0.8, 9).tolist())  # of the largest deflection: gaps and presliding friction
+DIFFERENCE = 6  # order of the differences of the deflection in which there is noise only
+EXPONENTS = np.linspace(0.0, 2.0, 41)  # of noise power over frequency, from white noise to a random walk
+WAVES = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # waves of the torque over half the range of the angle
+CELLS_A_SIDE = 7  # cells a side of the plane of deflection and rate
+SHORTEST_BLOCK = 25  # samples of a block, at least
+MOST_BLOCKS = 64  # blocks, at most
+BLOCK_LENGTHS = 8.0  # correlation times of the residuals in a block
+GROSS_OUTLIER = 10.0  # standard deviations beyond which a residual is clipped where an effect's size is estimated
+FLIPS = 16383  # draws of random signs of the blocks
+RIDGES = (1e-4, 1e-2, 1.0)  # penalties of ridge regression, of the features' mean power
+FOLDS = 10  # parts of a recording, of which each is predicted from the others
+NEW_FEATURE = 1e-6  # of a feature's power, that the model's columns must leave
+EXACT = 1e-9  # of the torque's deviation, below which residuals are rounding
+DENSE = 40.0  # samples in a period that are enough
+AS_GOOD = 0.85  # of what the best effect explains, from which another effect is a suspect too
+EXPLAINS = 0.4  # of the predicted part, that an effect must explain to be a suspect
+GAP_FACTOR = (0.7, 1.5)  # times -Kc: the factor of the column of a gap, whose width lies between those of the columns
+NARROW_GAP = 0.03  # of the largest deflection: half the width below which a gap may be narrower than its column
+BY_CHANCE = 0.01  # probability that one of all effects explains as much by chance
+MOST_NOISE = 4.0  # times the power that noise of the deflection adds to the residuals, the most that it explains
+SMALL_MISFIT = (
+    1e-3,
+    5e-3,
+)  # relative changes of Kc and Bc, up to which a misfit widens the intervals without a warning
+PLAIN_MISFIT = 0.1  # of the residuals' power: so much is a misfit even if it changes neither Kc nor Bc
+OF_NOISE = 0.5  # of what is predicted: if errors explain less, there is another effect too
+DOUBLED_ERRORS = 1.5  # times its own power, that doubled errors of the motion add to the prediction
+NOT_OF_NOISE = 0.05  # of what is predicted, up to which errors of the motion explain almost nothing
+SCATTER = 2.0  # standard deviations, by which simulated errors may leave more than on average
+OTHER_JOINT = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint

@@ -13,22 +13,15 @@ from hil.diagnostics import again
 from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
+from hil.signals import constants as c
 from hil.signals import slow_channel
 from hil.signals.angle import bursts, frozen, spikes
-from hil.signals.constants import FEWEST, MOST
 from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import spread_stamps, within
 
 Array = NDArray[np.float64]
 
 _LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
-_EPISODES = 3  # times that a torque reached the end of its range, from which that end is believed
-_TOP_HEAVY = 3.0  # times as many readings as any level below has: a peak has fewer than its flanks
-_BELOW = 6  # levels that are compared
-_BEYOND = 5.0  # of these levels, by which the deflection went on meanwhile
-_BESIDE = 5  # rows on each side that noise may have kept just below the end
-_FINEST = 1e-9  # s between two samples
-_STILL_ANGLE, _STILL_TORQUE = 1e-9, 1e-15  # rad and N m peak to peak, below which a reading never changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,9 +166,13 @@ def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
     for values in (torque, -torque):
         at_end = values == values.max(initial=-np.inf)
         episodes = np.count_nonzero(at_end[1:] > at_end[:-1])
-        if np.count_nonzero(at_end) >= FEWEST and episodes >= _EPISODES and _goes_on(values, dtheta[at_end], slope):
+        if (
+            np.count_nonzero(at_end) >= c.FEWEST
+            and episodes >= c.CLIPPED_TIMES
+            and _goes_on(values, dtheta[at_end], slope)
+        ):
             found |= at_end
-    return np.convolve(found, np.ones(2 * _BESIDE + 1), "same") > 0.5 if found.any() else found
+    return np.convolve(found, np.ones(2 * c.CLIPPED_BESIDE + 1), "same") > 0.5 if found.any() else found
 
 
 def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
@@ -185,10 +182,12 @@ def _goes_on(torque: Array, dtheta: Array, slope: float) -> bool:
     slope: torque over deflection, N m/rad.
     """
     levels, counts = np.unique(torque, return_counts=True)
-    below, step = counts[-_BELOW:-1], np.diff(levels[-_BELOW:])
-    low, high = np.quantile(dtheta, (1.0 - MOST, MOST))
+    below, step = counts[-c.CLIPPED_LEVELS : -1], np.diff(levels[-c.CLIPPED_LEVELS :])
+    low, high = np.quantile(dtheta, (1.0 - c.MOST, c.MOST))
     return bool(
-        len(below) and counts[-1] > _TOP_HEAVY * below.max() and slope * (high - low) > _BEYOND * float(np.median(step))
+        len(below)
+        and counts[-1] > c.CLIPPED_COUNT * below.max()
+        and slope * (high - low) > c.CLIPPED_MOTION * float(np.median(step))
     )
 
 
@@ -198,8 +197,10 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
     where: a description of these rows for the message.
     """
     name, more = recording.name, "take a part with" if recording.window else "record"
-    if len(time) < FEWEST:
-        raise Untrustworthy(f"{name} holds {len(time)} usable sample(s) of {len(recording)}: {more} at least {FEWEST}")
+    if len(time) < c.FEWEST:
+        raise Untrustworthy(
+            f"{name} holds {len(time)} usable sample(s) of {len(recording)}: {more} at least {c.FEWEST}"
+        )
     backwards = np.flatnonzero(np.diff(time) < 0.0)
     if backwards.size:
         raise Untrustworthy(
@@ -207,14 +208,14 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         )
     if np.ptp(time) == 0.0:
         raise Untrustworthy(f"{name}: every sample has the same time: correct the time stamps")
-    if (step := float(np.ptp(time)) / len(time)) < _FINEST:
+    if (step := float(np.ptp(time)) / len(time)) < c.SHORTEST_STEP:
         raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
-    if np.ptp(torque) < _STILL_TORQUE:
+    if np.ptp(torque) < c.STILL_TORQUE:
         raise Untrustworthy(
             f"{name}: {where}the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its "
             "unit"
         )
-    if np.ptp(dtheta) < _STILL_ANGLE:
+    if np.ptp(dtheta) < c.STILL_ANGLE:
         larger = again("record a motion of the joint", "--amplitude", imported=recording.imported)
         raise Untrustworthy(
             f"{name}: {where}the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"

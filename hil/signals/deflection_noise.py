@@ -8,23 +8,13 @@ so is Bc.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ACCURATE, FEWEST
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-FEW_COUNTS: Final = 40.0
-"""The encoder counts of the motion, peak to peak, below which rounding follows the motion and is not white noise."""
-
-_CONFUSED: Final = 1000.0  # variance inflation from which model selection includes no skew
-_HALF: Final = 32  # samples: half of a window of the spectra, which says how much two readings share
-_CHANCE: Final = 1.4  # windows' worth of power, that two readings share by chance: half of one is in the next
-_CLEARLY: Final = 0.9  # of a noise, below which less of it is certain: of white noise it is 0.97 to 1.03
-_DRAWN: Final = 1.5  # of the noise's power, that a skew gains at most by averaging, per time between two readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +46,7 @@ def own_noise(noise: float, values: Array, other: Array) -> float:
     readings of the other channel in the same rows. Both channels contain the motion, and each has noise of its own.
     """
     most = _unshared(values, other)
-    return most if most < _CLEARLY * noise else noise
+    return most if most < c.LESS_NOISE * noise else noise
 
 
 def _unshared(values: Array, other: Array) -> float:
@@ -64,15 +54,17 @@ def _unshared(values: Array, other: Array) -> float:
 
     It is computed from the upper half of the spectrum; infinite for too few rows.
     """
-    count = len(values) // _HALF - 1
-    if count < FEWEST:
+    count = len(values) // c.HALF_SEGMENT - 1
+    if count < c.FEWEST:
         return np.inf
-    taper = np.hanning(2 * _HALF + 1)[:-1]
-    starts = _HALF * np.arange(count)[:, None] + np.arange(2 * _HALF)
-    own, others = (np.fft.rfft((read - read.mean())[starts] * taper)[:, _HALF // 2 : -1] for read in (values, other))
+    taper = np.hanning(2 * c.HALF_SEGMENT + 1)[:-1]
+    starts = c.HALF_SEGMENT * np.arange(count)[:, None] + np.arange(2 * c.HALF_SEGMENT)
+    own, others = (
+        np.fft.rfft((read - read.mean())[starts] * taper)[:, c.HALF_SEGMENT // 2 : -1] for read in (values, other)
+    )
     power, beside = (np.sum(np.abs(part) ** 2, axis=0) for part in (own, others))
     shared = np.abs(np.sum(own * others.conj(), axis=0)) ** 2 / np.maximum(beside, 1e-300)
-    left = np.maximum(power - shared, 0.0) / (count - _CHANCE)
+    left = np.maximum(power - shared, 0.0) / (count - c.SHARED_BY_CHANCE)
     return float(np.sqrt(np.median(left) / np.sum(taper**2)))
 
 
@@ -80,7 +72,7 @@ def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
     """Return whether noise of the deflection, rad, and noise of its rate, rad/s, would change Kc or Bc by 0.05 %."""
     of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (read.dtheta, read.rate))
     attenuated = max(noise**2 / of_deflection, rate_noise**2 / of_rate)
-    return bool(attenuated > ACCURATE or _drawn(read, noise) > ACCURATE)
+    return bool(attenuated > c.ACCURATE or _drawn(read, noise) > c.ACCURATE)
 
 
 def _drawn(read: Read, noise: float) -> float:
@@ -91,7 +83,7 @@ def _drawn(read: Read, noise: float) -> float:
     slope = damping * read.acceleration
     others = columns[:, :3]
     alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
-    if float(np.mean(alone**2)) * _CONFUSED < float(np.mean(slope**2)):
+    if float(np.mean(alone**2)) * c.SKEW_INFLATION < float(np.mean(slope**2)):
         return 0.0  # a skew cannot be distinguished, and is not included
     drawn = skew_by_noise(stiffness * noise, alone, read.step)
     return float(abs(stiffness * drawn / damping)) if damping else np.inf
@@ -103,4 +95,4 @@ def skew_by_noise(noise: float, column: Array, step: float) -> float:
     A delay by a fraction of a sample averages the noise of the readings. noise: times the stiffness, N m. column (n,):
     the torque per second of skew that no other parameter makes, N m/s. step: time between two readings, s.
     """
-    return min(0.5 * step, _DRAWN * noise**2 / (step * max(float(np.mean(column**2)), 1e-300)))
+    return min(0.5 * step, c.AVERAGED_BY_SKEW * noise**2 / (step * max(float(np.mean(column**2)), 1e-300)))

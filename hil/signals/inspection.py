@@ -12,11 +12,10 @@ from hil.diagnostics import Diagnostic
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.recording.reader import Recording
+from hil.signals.constants import SLOW_TO_READ
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import open_sources
-
-_LONG = 500_000  # rows of a recording whose signals take more than a moment
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ def inspect(given: Given, progress: Progress | None = None) -> Inspection:
     with open_sources([given]) as (source,):
         source.verify(progress)
         recording = source.recording
-        if progress is not None and len(recording) > _LONG:
+        if progress is not None and len(recording) > SLOW_TO_READ:
             progress("computing the signals", math.nan)
         signals = prepare(recording, source.table)
         intervals = np.diff(signals.motion.time)

@@ -14,19 +14,12 @@ from numpy.typing import NDArray
 from ga.model.trajectory import Motion
 from hil import units
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import ENOUGH, TURN
+from hil.signals.constants import ENOUGH, ODD_STIFFNESS, OVER_LIMIT, SIGN_LEFT, SIGN_SURE, TURN, UNDER_LIMIT
 from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
 
-GROSS = 3.0
-"""The ratio of a channel to the stand's limit above which the channel's unit must be wrong."""
 
-_TOLERANCE = 1.1  # a recorder turns the torque off a little beyond its limit
-_ODD_STIFFNESS = 1000.0  # of what the limits suggest, in either direction
-_LEAST = 1e-3  # of a limit, below which a unit does not explain the readings
-_MOST_LEFT = 0.5  # of the torque's variance, which a coupling with a wrong sign may leave
-_SURE = 10.0  # standard errors of independent residuals, by which its stiffness is negative
 _MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "torque": ("mN*m", "N*m", "N*cm", "kgf*cm", "ozf*in", "uN*m", "gf*cm", "lbf*in"),
@@ -115,10 +108,10 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     columns = columns / sizes
     values, _, rank, _ = np.linalg.lstsq(columns, rest, rcond=None)
     left = float(np.var(rest - columns @ values))
-    if rank < columns.shape[1] or left > _MOST_LEFT * float(np.var(rest)):
+    if rank < columns.shape[1] or left > SIGN_LEFT * float(np.var(rest)):
         return None
     errors = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
-    negative = values[0] < -_SURE * errors[0] and values[1] < (-_SURE if one_frequency else 1.0) * errors[1]
+    negative = values[0] < -SIGN_SURE * errors[0] and values[1] < (-SIGN_SURE if one_frequency else 1.0) * errors[1]
     return float(values[0] / sizes[0]) if negative else None
 
 
@@ -138,7 +131,7 @@ def wrong_sign(stiffness: float, *, imported: bool) -> Diagnostic:
 
 
 def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) -> list[Diagnostic]:
-    if not swing.half > _TOLERANCE * limit:
+    if not swing.half > OVER_LIMIT * limit:
         return []
     size, times = f"{swing.half:.3g} {unit}", swing.half / limit
     message = f"the {name} swings by +/- {size}, {times:.3g} times the stand's limit of {limit:.3g} {unit}"
@@ -149,7 +142,7 @@ def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) ->
 def _likely(dimension: str, swing: Swing, limit: float) -> str:
     option = "torque" if dimension == "torque" else "dtheta"
     for unit in _MISTAKEN[dimension]:
-        if _LEAST * limit <= swing.half / swing.factor * units.factor(dimension, unit) <= _TOLERANCE * limit:
+        if UNDER_LIMIT * limit <= swing.half / swing.factor * units.factor(dimension, unit) <= OVER_LIMIT * limit:
             return (
                 f"The readings are likely in {unit}: import them with --{option}-unit {unit}, or correct [limits] of "
                 "the stand file"
@@ -180,7 +173,7 @@ def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> lis
     if not (torque.half > 0.0 and deflection.half > 0.0):
         return []
     ratio = torque.half / deflection.half / expected
-    if 1.0 / _ODD_STIFFNESS < ratio < _ODD_STIFFNESS:
+    if 1.0 / ODD_STIFFNESS < ratio < ODD_STIFFNESS:
         return []
     message = (
         f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.3g} times the ratio of the stand's limits: "

@@ -23,7 +23,7 @@ from hil.recording.ahead import ahead
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
-from hil.signals.constants import FEWEST
+from hil.signals.constants import FEWEST, MARGIN, PROBE
 from hil.signals.defects import Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
 from hil.signals.rate.own_rate import OwnRate, is_difference, refused_rate
 from hil.signals.rate.savitzky_golay import local_polynomial
@@ -34,9 +34,6 @@ from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
 
 Array = NDArray[np.float64]
-
-_PROBE = 1_000_000  # rows from which the columns to read and the windows are chosen
-_MARGIN = 256  # rows beyond the windows of a block, to replace those that were lost
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +209,7 @@ class LongRecording:
 
     def __init__(self, recording: Recording, stand: StandTable | None) -> None:
         columns = _columns_of(recording, stand)
-        first = columns.rows_of(recording, 0, min(_PROBE, len(recording)))
+        first = columns.rows_of(recording, 0, min(PROBE, len(recording)))
         refuse_hopeless(recording, first.time, first.torque, first.dtheta)
         self._recording = recording
         self._columns, self._window = columns.seeing(first)
@@ -235,7 +232,7 @@ class LongRecording:
         """Yield the signals as from `prepare`, `block` rows at a time, read with enough neighbours for complete
         windows.
         """
-        margin = 2 * self._window.widest + _MARGIN  # lost rows take room too
+        margin = 2 * self._window.widest + MARGIN  # lost rows take room too
         starts = range(0, len(self._recording), block)
         around = ((max(0, start - margin), start + block + margin) for start in starts)
         read = ahead(self._columns.rows_of(self._recording, *rows) for rows in around)
@@ -260,7 +257,7 @@ def _own_readings(usable: UsableRows, columns: _Columns) -> Readings | None:
 
 def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
     def present(name: str) -> bool:
-        return bool(np.isfinite(recording.channel(name, 0, _PROBE)).any())
+        return bool(np.isfinite(recording.channel(name, 0, PROBE)).any())
 
     from_motor = stand is not None and stand.torque_source == "motor" and present("motor_torque")
     rate_given = present("dtheta_dot") and not present("motor_position")

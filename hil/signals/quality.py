@@ -12,7 +12,7 @@ from drivers.servo import Status
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
-from hil.signals.constants import ENOUGH, GAIN_ERROR, MANY, SPREAD
+from hil.signals.constants import ENOUGH, FEW_COUNTS, GAIN_ERROR, LOST_ROWS, MANY, POOR_SNR, SPARSE, SPREAD, UNSURE_AGE
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
@@ -24,12 +24,6 @@ from hil.signals.stamps import mean_step
 from hil.stand.file import LimitsTable
 
 Array = NDArray[np.float64]
-
-_FEW_COUNTS = 20.0  # counts of deflection, below which quantisation shapes the result
-_POOR_SNR = 20.0  # dB
-_NOTABLE = 0.01  # share of rows that are lost or saturated, above which Kc and Bc may suffer
-_SPARSE = 0.2  # periods of the motion between two readings, above which it cannot be followed
-_UNSURE = 0.1  # of a tick, from which the age of readings is uncertain
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +121,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
 
 def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     defects, rows, found = quality.defects, quality.samples, []
-    if defects.lost > _NOTABLE * rows:
+    if defects.lost > LOST_ROWS * rows:
         lost = (
             f"{defects.lost} of {rows} replies were lost and are left out. Check cable and baud rate; hil doctor shows "
             "how often replies are lost"
@@ -199,14 +193,14 @@ def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     larger = again("record a larger motion", "--amplitude", imported=imported)
     counts, found = quality.deflection / quality.deflection_lsb, []
     saturated = quality.saturated / quality.samples
-    if saturated > _NOTABLE:
+    if saturated > LOST_ROWS:
         softer = again("drive with less torque", "--amplitude", imported=imported)
         text = f"the torque limit cut the command in {saturated:.1%} of the rows: {softer}"
         found.append(Diagnostic("saturated", text))
-    if counts < _FEW_COUNTS:
+    if counts < FEW_COUNTS:
         text = f"the deflection spans {counts:.0f} counts of the encoder: {larger}"
         found.append(Diagnostic("few-counts", text, is_error=counts < 3.0))
-    if quality.snr < _POOR_SNR:
+    if quality.snr < POOR_SNR:
         text = f"the torque is only {quality.snr:.0f} dB above its noise: {larger}"
         found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))
     return found
@@ -218,7 +212,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
         f"the sensor of the {one.channel} has {1.0 / one.step:.3g} readings a second, {shown}, and the recording has "
         f"{1.0 / one.tick:.3g} rows a second"
     )
-    if one.channel == "deflection" and highest * one.step > _SPARSE:
+    if one.channel == "deflection" and highest * one.step > SPARSE:
         return Diagnostic(
             "slow-sensor",
             f"{text}. The joint moves at up to {highest:.3g} Hz, too fast for these readings, so Kc and Bc are wrong. "
@@ -226,7 +220,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
             is_error=True,
         )
     text += ". Only the sensor's own readings are used"
-    if one.unsure > _UNSURE * one.tick:
+    if one.unsure > UNSURE_AGE * one.tick:
         text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
     text += ". Record the sensor's own readings with its own time stamps"
     return Diagnostic("slow-sensor", text, "Bc")
@@ -247,7 +241,7 @@ def _noise(signals: Signals) -> float:
     """
     time = signals.motion.time
     cycles = signals.band[1] * mean_step(time)
-    if cycles > _SPARSE:
+    if cycles > SPARSE:
         return _noise_beside_motion(signals)
     half = widest(0, cycles, max(2, (len(time) - 1) // 8), GAIN_ERROR)
     residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)

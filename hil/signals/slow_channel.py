@@ -9,48 +9,18 @@ readings, the corner between two lines is a reading, with its time.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.constants import BLOCKS, MOST, NEARLY_ALL, SPREAD, SURE
+from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
 Kind = Literal["held", "joined"]
 Channel = Literal["torque", "deflection"]
-
-_FEWEST: Final = 30  # readings, from which a sensor's pace is judged
-_COUNTS: Final = 2.0  # counts a tick, from which a fast sensor does not repeat a count
-_REPEATS: Final = 0.2  # part of the samples on the move that repeat, from which readings are held
-_UNEVEN: Final = 0.35  # of a pace, by which it varies at most
-_ODD: Final = 0.1  # ticks squared, by which chance varies it
-_OFF_PACE: Final = 0.6  # of the time between two ticks, by which a reading may be off an even pace
-_LOCAL: Final = 40  # readings over which a pace is even, where that of a whole recording drifts
-_TWICE: Final = 1.75  # usual steps, from which a reading is missing
-_CONSTRAINTS: Final = 2000  # readings that a pace must fit
-_MOST_PLACES: Final = 49  # of the deflection at which a torque may bend, so that a gap of any width hardly differs
-_PER_PLACE: Final = 20  # readings for each
-_BRANCHES: Final = 5  # that relax, from the time of one reading
-_SLOWEST: Final = 0.05  # to so much of the recording
-_ROUNDS: Final = 3  # in which age and drift are found beside the shape
-_NO_CHANGE: Final = 1e-9  # of the power of a drift's torque, that must be new
-_MS: Final = 1e3  # a solver's tolerances are for numbers of the size of one
-_ROUNDED: Final = 1e-6  # ms
-_STRAIGHT: Final = 2.1  # counts by which three samples on a line may be off it
-_SMALL_COUNT: Final = 0.05  # of the usual bend: with larger counts a corner cannot be placed
-_SHARP: Final = 5.0  # times that, from which a corner is no smooth motion
-_LINES: Final = 0.1  # part of the samples on a line with both neighbours: fewer by chance
-_ROUGH: Final = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
-_ROUNDED_UP: Final = 0.02  # part of the samples whose bends lie between both, from which they are rounded so
-_AT_ZERO: Final = 1.31  # part of normal bends that is below a small part of that quantile, per part
-_BEYOND_CHANCE: Final = 2.0  # times what random bends have of lines, that lines make up at least
-_CORNER: Final = 5  # samples around a corner, within which a line begins or ends
-_MOST_SHORT: Final = 10  # lines of two samples one after the other
-_CLEAR: Final = 10.0  # counts a tick from which a line is clear, and by which two must differ to place their corner
-_LONGEST: Final = 1.5  # usual ticks: a longer one, beside a lost reply, does not say when a reading was converted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,13 +63,15 @@ def kind_of(time: Array, values: Array) -> Kind | None:
 
     "held": the last reading repeats. "joined": straight lines between the readings. None: the sensor is not slower.
     """
-    if len(values) < _FEWEST or np.ptp(values) == 0.0:
+    if len(values) < c.FEWEST_READINGS or np.ptp(values) == 0.0:
         return None
     count = smallest_step(values)
     if _is_held(values, count):
         return "held"
     # a clock that rounds bends a smooth motion here and there
-    return "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= _FEWEST else None
+    return (
+        "joined" if _is_joined(time, values, count) and len(_corners(time, values).row) >= c.FEWEST_READINGS else None
+    )
 
 
 def slower(
@@ -138,11 +110,11 @@ def repaced(own: Readings, motion: Motion) -> Array:
     no shape describes.
     """
     time, torque = own.time, own.value
-    few = slice(None, None, -(-len(time) // _CONSTRAINTS))  # no more than these
+    few = slice(None, None, -(-len(time) // c.PACE_READINGS))  # no more than these
     since = time - 0.5 * float(time[0] + time[-1])
     most = own.drifts / max(float(np.ptp(time)), own.drifts)
     age = drift = 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(c.PACE_ROUNDS):
         when = (time + age + drift * since)[few]
         at = motion.at(when)
         rows = np.searchsorted(when, at.time)
@@ -151,7 +123,7 @@ def repaced(own: Readings, motion: Motion) -> Array:
         known, drifting = np.column_stack([shapes, changes]), changes * since[few][rows]
         alone = drifting - known @ np.linalg.lstsq(known, drifting, rcond=None)[0]
         power = float(alone @ alone)
-        if power <= _NO_CHANGE * float(drifting @ drifting):
+        if power <= c.NO_DRIFT * float(drifting @ drifting):
             return time
         more = float(alone @ seen) / power
         older = np.linalg.lstsq(known, seen - more * drifting, rcond=None)[0][-1]
@@ -159,8 +131,8 @@ def repaced(own: Readings, motion: Motion) -> Array:
         drift = float(np.clip(drift + more, -most, most))
     everything = np.column_stack([known, drifting])
     left = seen - everything @ np.linalg.lstsq(everything, seen, rcond=None)[0]
-    scores = [float(part.sum()) for part in np.array_split(alone * left, BLOCKS)]
-    if abs(drift) <= SURE * float(np.linalg.norm(scores)) / power:
+    scores = [float(part.sum()) for part in np.array_split(alone * left, c.BLOCKS)]
+    if abs(drift) <= c.SURE * float(np.linalg.norm(scores)) / power:
         return time
     return np.asarray(time + drift * since)
 
@@ -173,15 +145,15 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """
     inside = (own.time >= motion.time.min(initial=np.inf)) & (own.time <= motion.time.max(initial=-np.inf))
     time = own.time[inside]
-    if min(len(time), len(motion)) < _FEWEST:
+    if min(len(time), len(motion)) < c.FEWEST_READINGS:
         return 0.0
-    few = slice(None, None, -(-len(time) // _CONSTRAINTS))
+    few = slice(None, None, -(-len(time) // c.PACE_READINGS))
     at = motion.at(time[few])
     shapes, _ = _shapes(at)
     seen = own.value[inside][few][np.searchsorted(time[few], at.time)]
     left = seen - shapes @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
     free = max(len(left) - shapes.shape[1], 1)
-    return float(SPREAD * np.median(np.abs(left)) * np.sqrt(len(left) / free))
+    return float(c.SPREAD * np.median(np.abs(left)) * np.sqrt(len(left) / free))
 
 
 def _shapes(motion: Motion) -> tuple[Array, Array]:
@@ -193,12 +165,14 @@ def _shapes(motion: Motion) -> tuple[Array, Array]:
     scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
     x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
     a, growth, sign = motion.dtheta_ddot / fastest, motion.dtheta_dot / scale, np.sign(motion.dtheta_dot)
-    many = min(_MOST_PLACES, len(x) // _PER_PLACE)
+    many = min(c.BENDS, len(x) // c.READINGS_A_BEND)
     places = np.unique(np.quantile(x, np.arange(1, many + 1) / (many + 1.0)))
     bent = x[:, None] - places
     size, none = float(np.max(np.abs(a))) or 1.0, np.zeros_like(x)
     whole, rows = motion.whole
-    slow = np.geomspace(float(np.median(np.diff(motion.time))), _SLOWEST * float(np.ptp(motion.time)), _BRANCHES)
+    slow = np.geomspace(
+        float(np.median(np.diff(motion.time))), c.SLOWEST_BRANCH * float(np.ptp(motion.time)), c.BRANCHES
+    )
     relaxing = [whole.lagged(whole.dtheta_dot, constant)[rows] / fastest for constant in slow]
     shapes = [np.ones_like(x), x, v, a / size, v * np.abs(v), sign, x * sign, *relaxing]
     changes = [none, growth, a, np.gradient(a, motion.time) / size, 2.0 * np.abs(v) * a, none, growth * sign]
@@ -215,14 +189,14 @@ def _is_held(values: Array, count: float) -> bool:
     count: the smallest step of the values.
     """
     changes = np.flatnonzero(np.diff(values)) + 1
-    if len(changes) < _FEWEST:
+    if len(changes) < c.FEWEST_READINGS:
         return False
     reach = max(2, 2 * int(np.median(np.diff(changes))))
     if len(values) <= 2 * reach:
         return False
     moved = np.abs(values[2 * reach :] - values[: -2 * reach]) / (2.0 * reach)
-    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > _COUNTS * count]
-    return len(repeats) >= _FEWEST and bool(np.mean(repeats) > _REPEATS) and _is_paced(np.diff(changes))
+    repeats = (values[reach:-reach] == values[reach - 1 : -reach - 1])[moved > c.COUNTS_A_TICK * count]
+    return len(repeats) >= c.FEWEST_READINGS and bool(np.mean(repeats) > c.HELD) and _is_paced(np.diff(changes))
 
 
 def _is_paced(ticks: NDArray[np.int64]) -> bool:
@@ -233,13 +207,13 @@ def _is_paced(ticks: NDArray[np.int64]) -> bool:
     """
     usual = np.minimum(ticks, 3.0 * np.median(ticks) + 6.0)  # counts that repeat at rest last longer
     pace, part = float(usual.mean()), float(usual.mean()) % 1.0
-    return bool(np.var(usual) < part * (1.0 - part) + (_UNEVEN * pace) ** 2 + _ODD)
+    return bool(np.var(usual) < part * (1.0 - part) + (c.UNEVEN_PACE * pace) ** 2 + c.CHANCE_PACE)
 
 
 def _held(time: Array, values: Array) -> Readings:
     row = np.flatnonzero(np.diff(values)) + 1
     before, shown = time[row - 1], time[row]
-    row = row[(certain := shown - before <= _LONGEST * float(np.median(np.diff(time))))]
+    row = row[(certain := shown - before <= c.LONGEST_TICK * float(np.median(np.diff(time))))]
     before, shown = before[certain], shown[certain]
     at, unsure, drifts = _converted(before, shown)
     return Readings(row, at, values[row], unsure, drifts)
@@ -253,11 +227,11 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
     """
     middle = 0.5 * (before + shown)
     whole = _numbered(np.diff(middle))
-    for size in (len(middle), _LOCAL):
+    for size in (len(middle), c.LOCAL_PACE):
         parts = np.array_split(np.arange(len(middle)), max(1, len(middle) // size))
         paces = [_even(whole[part], before[part], shown[part]) for part in parts]
         at = np.concatenate([pace for pace, _, _ in paces])
-        if np.mean(np.abs(at - middle) <= _OFF_PACE * (shown - before)) >= NEARLY_ALL:
+        if np.mean(np.abs(at - middle) <= c.OFF_PACE * (shown - before)) >= c.NEARLY_ALL:
             drifts = paces[0][2] if len(paces) == 1 else 0.0  # what one part leaves open, the next one says
             return np.clip(at, before, shown), max(unsure for _, unsure, _ in paces), drifts
     return middle, 0.0, 0.0
@@ -268,7 +242,7 @@ def _numbered(steps: Array) -> Array:
 
     steps (m,): the times between successive readings, s.
     """
-    usual = float(np.mean(steps[steps < _TWICE * np.median(steps)]))
+    usual = float(np.mean(steps[steps < c.MISSING * np.median(steps)]))
     for _ in range(2):  # steps of two and three ticks have a mean of neither
         counts = np.maximum(np.round(steps / usual), 1.0)
         usual = float(steps.sum() / counts.sum())
@@ -284,20 +258,20 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
     """
     from scipy.optimize import linprog
 
-    few = slice(None, None, max(1, len(number) // _CONSTRAINTS))
+    few = slice(None, None, max(1, len(number) // c.PACE_READINGS))
     scale, start = float(np.ptp(number)) or 1.0, float(before[0])
     line = np.stack([np.ones(len(number)), (number - number.mean()) / scale], axis=1)
     inside, ends = np.concatenate([line[few], -line[few]]), np.concatenate([shown[few], -before[few]])
-    ends = (ends - np.repeat([start, -start], len(line[few]))) * _MS
+    ends = (ends - np.repeat([start, -start], len(line[few]))) * c.MS
     best = linprog([0.0, 0.0, -1.0], np.column_stack([inside, np.ones(len(inside))]), ends, bounds=(None, None)).x
-    loose = ends - min(float(best[2]), 0.0) + _ROUNDED
+    loose = ends - min(float(best[2]), 0.0) + c.ROUNDED_MS
     ranges = (
         [linprog(sign * part, inside, loose, bounds=(None, None)).fun * sign for sign in (1.0, -1.0)]
         for part in np.eye(2)
     )
     (low, high), (shortest, longest) = ranges
     drifts = max(longest - best[1], best[1] - shortest, 0.0)
-    return line @ best[:2] / _MS + start, abs(float(high - low)) / _MS, float(drifts) / _MS
+    return line @ best[:2] / c.MS + start, abs(float(high - low)) / c.MS, float(drifts) / c.MS
 
 
 def _bends(time: Array, values: Array) -> Array:
@@ -315,9 +289,9 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
     bends (n,): the distances from lines. count: the smallest step of the values. A program that writes seven digits
     rounds larger values by more than a count.
     """
-    fine = max(_STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
-    rough = max(fine, _ROUGH * float(np.quantile(bends[1:-1], NEARLY_ALL)))
-    return rough if float(np.mean((bends > fine) & (bends <= rough))) > _ROUNDED_UP else fine
+    fine = max(c.STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
+    rough = max(fine, c.ROUGH * float(np.quantile(bends[1:-1], c.NEARLY_ALL)))
+    return rough if float(np.mean((bends > fine) & (bends <= rough))) > c.ROUNDED_LINES else fine
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
@@ -327,26 +301,26 @@ def _is_joined(time: Array, values: Array, count: float) -> bool:
     bends = _bends(time, values)
     tolerance = _tolerance(values, bends, count)
     bent = bends[1:-1][bends[1:-1] > tolerance]  # of lines of ten samples hardly one in ten is
-    most = float(np.quantile(bent, MOST)) if bent.size else 0.0
-    if count >= _SMALL_COUNT * most:  # rounding to counts alone makes lines
+    most = float(np.quantile(bent, c.MOST)) if bent.size else 0.0
+    if count >= c.SMALL_COUNT * most:  # rounding to counts alone makes lines
         return False
-    by_chance = _AT_ZERO * tolerance / most
+    by_chance = c.SMALL_BENDS * tolerance / most
     # where it comes to rest by a few counts a tick, any motion is a line
-    fast = np.abs(np.diff(values)) > max(tolerance, _CLEAR * count)
+    fast = np.abs(np.diff(values)) > max(tolerance, c.CLEAR_CORNER * count)
     moves = np.concatenate([[False], fast[1:] & fast[:-1], [False]])
     on = (bends <= tolerance) & moves
     runs = _runs(on)
-    if len(runs) < _FEWEST:
+    if len(runs) < c.FEWEST_READINGS:
         return False
     usual = int(np.median(runs[:, 1] - runs[:, 0]))
     # between lines of four samples there is but a corner; a smooth motion is straight where it turns the other way
-    if usual > 2 and not _mostly(_largest_near(on, _CORNER // 2)[moves & ~on]):
+    if usual > 2 and not _mostly(_largest_near(on, c.CORNER // 2)[moves & ~on]):
         return False
     reach = 2 * usual
     # a smooth motion hardly bends beside a sample where it does not
-    sharp = _largest_near(np.where(np.isfinite(bends), bends, 0.0), reach) > _SHARP * tolerance
-    least = max(_LINES, _BEYOND_CHANCE * by_chance)
-    return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= NEARLY_ALL and _mostly(sharp[on])
+    sharp = _largest_near(np.where(np.isfinite(bends), bends, 0.0), reach) > c.SHARP * tolerance
+    least = max(c.ON_LINES, c.BEYOND_CHANCE * by_chance)
+    return least <= float(np.mean(on & sharp)) and float(np.mean(on)) <= c.NEARLY_ALL and _mostly(sharp[on])
 
 
 def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
@@ -371,7 +345,7 @@ def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
     lines: the first and the last sample of each line of three or more samples.
     """
     left = lines[1:, 0] - lines[:-1, 1] - 1
-    pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * _MOST_SHORT), left // 2, 0)
+    pairs = np.where((left > 0) & (left % 2 == 0) & (left <= 2 * c.SHORT_LINES), left // 2, 0)
     within = np.arange(pairs.sum()) - np.repeat(np.cumsum(pairs) - pairs, pairs)
     first = np.repeat(lines[:-1, 1] + 1, pairs) + 2 * within
     found = np.concatenate([lines, np.stack([first, first + 1], axis=1)])
@@ -385,7 +359,7 @@ def _corners(time: Array, values: Array) -> Readings:
     slope = (values[last] - values[first]) / (time[last] - time[first])
     bend = np.diff(slope)
     # two lines meet between the last sample of one and the first of the next, which may be the same
-    meets = (first[1:] - last[:-1] <= 1) & (np.abs(bend) * float(np.median(np.diff(time))) > _CLEAR * count)
+    meets = (first[1:] - last[:-1] <= 1) & (np.abs(bend) * float(np.median(np.diff(time))) > c.CLEAR_CORNER * count)
     apart = values[first[1:]] - slope[1:] * time[first[1:]] - (values[last[:-1]] - slope[:-1] * time[last[:-1]])
     at = -np.divide(apart, bend, out=np.zeros_like(apart), where=meets)
     near = 0.1 * float(np.median(np.diff(time)))

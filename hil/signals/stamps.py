@@ -7,29 +7,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ENOUGH, MANY
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-_UNITS = sorted([10.0**-k for k in range(2, 7)] + [2.0**-k for k in range(6, 20)], reverse=True)
-# s, to which stamps are often rounded: decimals, and what numbers of single precision can hold
-_ROWS = 20  # over which the usual pace is taken: more than a burst has
-_BURST = 0.2  # of a usual step, below which two rows were stamped together
-_LATE = 1.2  # times between two bursts, by which the rows of one are stamped too late at most
-_IN_BURSTS = 0.3  # share of such steps from which rows arrived in bursts: samples at random times have 0.18
-_ON_UNIT = 0.01  # of a unit, within which a stamp is a multiple of it
-_FULL = 1.05  # of a unit: the range of stamps that were all cut off alike, but for what a fitted pace is off
-_LOOKED = 1000  # stamps at either end that show whether they are
-APART = 4.0
-"""Median steps between two samples, above which they belong to two pieces."""
-_SHORTEST = 8  # samples of a stretch, below which nothing is interpolated on it
 
 
 def pieces(time: Array) -> list[slice]:
     """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause."""
     steps = np.diff(time)
-    usual = float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else np.inf
-    ends = np.flatnonzero(steps > usual * max(APART, MANY * len(time))) + 1
+    usual = (
+        float(np.median(time[c.PACE_ROWS :] - time[: -c.PACE_ROWS])) / c.PACE_ROWS
+        if len(time) > c.PACE_ROWS
+        else np.inf
+    )
+    ends = np.flatnonzero(steps > usual * max(c.APART, c.MANY * len(time))) + 1
     return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time)])]
 
 
@@ -54,7 +45,7 @@ def spread_stamps(time: Array) -> tuple[Array, bool]:
         return time, False
     near = _together(time)
     starts = np.flatnonzero(np.concatenate(([True], np.diff(time) > near)))
-    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > MANY * len(time)
+    even, coarse = _before_rounding(time, near), (len(time) - len(starts)) > c.MANY * len(time)
     if even is not time or len(starts) == len(time):
         return even, coarse
     rows = np.arange(len(time), dtype=np.float64)
@@ -71,10 +62,14 @@ def _together(time: Array) -> float:
     A packet brings several rows, which a computer stamps one after the other. Jitter of a loop seldom brings samples so
     close.
     """
-    time = time[:ENOUGH]
+    time = time[: c.ENOUGH]
     steps = np.diff(time)
-    near = _BURST * float(np.median(time[_ROWS:] - time[:-_ROWS])) / _ROWS if len(time) > _ROWS else 0.0
-    are_bursts = np.mean(steps <= near) > _IN_BURSTS and np.mean((steps > 0.0) & (steps <= near)) > MANY
+    near = (
+        c.SAME_PACKET * float(np.median(time[c.PACE_ROWS :] - time[: -c.PACE_ROWS])) / c.PACE_ROWS
+        if len(time) > c.PACE_ROWS
+        else 0.0
+    )
+    are_bursts = np.mean(steps <= near) > c.IN_PACKETS and np.mean((steps > 0.0) & (steps <= near)) > c.MANY
     return near if near and are_bursts else 0.0
 
 
@@ -86,12 +81,12 @@ def _before_rounding(time: Array, near: float) -> Array:
     10 Hz. near: the time, s, within which rows arrived together, at the end of the interval in which they were taken.
     """
     steps = np.diff(time)
-    unit = max(_unit(time[:_LOOKED]), _unit(time[-_LOOKED:]))
+    unit = max(_unit(time[: c.STAMPS]), _unit(time[-c.STAMPS :]))
     pace = float(time[-1] - time[0]) / max(len(time) - 1, 1)
     if near and unit <= pace:
-        unit = _LATE * float(np.median(steps[steps > near]))
+        unit = c.PACKET_LATE * float(np.median(steps[steps > near]))
     repeat = bool((steps <= near).any())
-    if unit == 0.0 or len(time) < 2 * _SHORTEST or repeat is (unit <= pace):
+    if unit == 0.0 or len(time) < 2 * c.SHORTEST_PIECE or repeat is (unit <= pace):
         return time
     usual = np.inf if repeat else float(np.mean(steps[steps < 2.0 * np.median(steps)]))
     # no row is lost, or rows are
@@ -100,7 +95,7 @@ def _before_rounding(time: Array, near: float) -> Array:
         slope, start = _narrowest_line(place, time - time[0]) if repeat else np.polyfit(place, time - time[0], 1)
         even = time[0] + start + slope * place
         # stamps that repeat leave room for a pause of a few rows, which the range of the rounding does not
-        if float(np.abs(even - time).max()) < unit and (not repeat or float(np.ptp(even - time)) < _FULL * unit):
+        if float(np.abs(even - time).max()) < unit and (not repeat or float(np.ptp(even - time)) < c.UNIT_RANGE * unit):
             return np.asarray(even)
     return time
 
@@ -127,9 +122,9 @@ def _narrowest_line(place: Array, time: Array) -> tuple[float, float]:
 def _unit(time: Array) -> float:
     """Return the unit, s, of which all stamps (n,) are multiples; 0 if there is no such unit."""
     digits = 4.0 * float(np.spacing(np.abs(time).max()))
-    for unit in _UNITS:
+    for unit in c.UNITS:
         apart = (time - time[0]) / unit
-        if np.abs(apart - np.round(apart)).max() < _ON_UNIT + digits / unit:
+        if np.abs(apart - np.round(apart)).max() < c.ON_UNIT + digits / unit:
             return unit
     return 0.0
 
@@ -141,8 +136,8 @@ def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArr
     sound (n,): which samples are valid. step: usual time between two samples, s.
     """
     places = np.flatnonzero(sound)
-    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > APART * step)) + 1
-    parts = [part for part in np.split(places, breaks) if len(part) >= _SHORTEST]
+    breaks = np.flatnonzero((np.diff(places) > 1) & (np.diff(time[places]) > c.APART * step)) + 1
+    parts = [part for part in np.split(places, breaks) if len(part) >= c.SHORTEST_PIECE]
     kept = np.zeros(len(time), dtype=bool)
     for part in parts:
         kept[part] = True

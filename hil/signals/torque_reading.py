@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import DELAYS_A_PERIOD, LATE, LATEST
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
-
-_LATEST: Final = 0.2  # s, that a torque may be late
-_LATE: Final = 0.5  # of the power that is left, which a delay must explain
-_FINE: Final = 40.0  # delays that are tried in the shortest period
 
 
 def long_delay(signals: Signals, longest: float) -> str:
@@ -39,10 +34,10 @@ def _delay(signals: Signals, step: float) -> float:
     """
     motion, torque = signals.motion, signals.torque
     columns = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
-    pace = max(step, 1.0 / (_FINE * signals.band[1]))
-    most = min(int(_LATEST / pace), len(torque) // (4 * max(1, round(pace / step))))
+    pace = max(step, 1.0 / (DELAYS_A_PERIOD * signals.band[1]))
+    most = min(int(LATEST / pace), len(torque) // (4 * max(1, round(pace / step))))
     tried = pace * np.arange(most + 1)
-    inside = slice(int(_LATEST / step) + 1, None)
+    inside = slice(int(LATEST / step) + 1, None)
 
     def left(delay: float) -> float:
         shift = round(delay / step)
@@ -53,4 +48,4 @@ def _delay(signals: Signals, step: float) -> float:
     if len(torque[inside]) < 8 * columns.shape[1]:
         return 0.0
     rest = np.array([left(delay) for delay in tried.tolist()])
-    return float(tried[np.argmin(rest)]) if rest.min() < _LATE * rest[0] else 0.0
+    return float(tried[np.argmin(rest)]) if rest.min() < LATE * rest[0] else 0.0

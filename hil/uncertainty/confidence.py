@@ -16,14 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import DEPENDENT, ENOUGH, NORMAL, SPREAD, UPPER
+from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, NORMAL, SPREAD, TAKES_PART, UPPER
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 
 Array = NDArray[np.float64]
-
-_SMALLEST = 1e-150  # N m, the least rounding: where all torque is zero, sums are divided by it
-_PART = 1e-5  # of a dependent combination, below which a parameter takes no part in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +119,7 @@ def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
     units = np.outer(*[np.where(excited, size, 1.0)] * 2)
     strengths, directions = np.linalg.eigh(gram / units)
     dependent = strengths <= DEPENDENT * max(float(strengths[-1]), 0.0)
-    distinct = excited & (np.linalg.norm(directions[:, dependent], axis=1) < _PART)
+    distinct = excited & (np.linalg.norm(directions[:, dependent], axis=1) < TAKES_PART)
     inverse = (directions / np.where(dependent, np.inf, strengths)) @ directions.T
     return np.asarray(inverse / units), distinct
 
@@ -150,7 +147,7 @@ def _first_pass(blocks: Blocks, genes: Array) -> _Sums:
         count += len(torque)
         power += float(torque @ torque)
         gram += columns.T @ columns
-    rounding = 1e-12 * float(np.sqrt(power / count)) + _SMALLEST
+    rounding = 1e-12 * float(np.sqrt(power / count)) + LEAST_ROUNDING
     return _Sums(count, gram, np.concatenate(kept), rounding)
 
 

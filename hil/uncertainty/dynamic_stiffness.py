@@ -14,34 +14,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import UPPER
+from hil.signals import constants as c
 from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-_BANDS: Final = 12  # at most
-_CYCLES: Final = 3.0  # of the lowest frequency in a segment
-_SEGMENTS: Final = 8  # at least, in all
-_SHORTEST: Final = 32  # samples of a segment
-_LINES: Final = 4  # of a band: the main lobe of Hann's window
-_ALIKE: Final = 2.05  # neighbouring lines and overlapping segments that count as one
-_WEAK: Final = 1e-3  # of the mean power of the deflection in the bands, below which a band was not excited
-_NOTHING: Final = 1e-9  # the same of instrument and torque, which may be small where the deflection is large
-_ALIGNED: Final = 1e-6  # sine of the angle between what follows deflection and rate, from which they are the same
-_FOLLOWS: Final = 0.4  # of the deflection's power, that goes with the command: a fifth does by chance
-_APART: Final = 1.5  # times the deflection of the smaller half, from which the amplitudes count as different
-_PERIODIC: Final = 0.98  # correlation of a deflection with itself a period later
-_FADING: Final = 0.9  # the same, of a whole run that fades in and out
-_STEADY: Final = 0.1  # of the energy of the usual period, by which that of a repetition differs at most
-_REPEATED: Final = 2  # periods at least, whose difference is the noise
-_EXCITED: Final = 1e-3  # of the strongest line's amplitude, from which on a line is excited
-_HARMONICS: Final = 3.0  # times the upper end of the band, up to which distortion is looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,8 +137,8 @@ def _even(recorded: Recorded, part: slice, values: Array) -> Array:
 
 def _spectra(recorded: Recorded, instrument: Array, band: tuple[float, float]) -> _Spectra | None:
     step = recorded.step
-    length = min(round(_CYCLES / (band[0] * step)), 2 * len(recorded) // (_SEGMENTS + 1))
-    if length < _SHORTEST:
+    length = min(round(c.CYCLES / (band[0] * step)), 2 * len(recorded) // (c.SEGMENTS + 1))
+    if length < c.SHORTEST_SEGMENT:
         return None
     window = np.hanning(length + 1)[:-1]
     found: list[list[Array]] = []
@@ -169,7 +150,7 @@ def _spectra(recorded: Recorded, instrument: Array, band: tuple[float, float]) -
         for first in range(0, len(even[0]) - length + 1, length // 2):
             cut = [values[first : first + length] for values in even]
             found.append([one - one.mean() for one in cut])
-    if len(found) < _SEGMENTS // 2:
+    if len(found) < c.SEGMENTS // 2:
         return None
     segments = np.array(found)
     lines = np.fft.rfft(segments * window, axis=2)
@@ -183,11 +164,11 @@ def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
     """Return the edges of the bands, in lines of the spectrum: in equal ratios, each band wider than a main lobe."""
     low, high = np.searchsorted(frequency, band)
     first = max(1, int(low) - 2)
-    last = max(int(high) + 2, first + _LINES)
-    ideal = np.geomspace(first, last, _BANDS + 1)
+    last = max(int(high) + 2, first + c.MAIN_LOBE)
+    ideal = np.geomspace(first, last, c.BANDS + 1)
     edges = [first]
     for edge in ideal[1:]:
-        if round(edge) - edges[-1] >= _LINES:
+        if round(edge) - edges[-1] >= c.MAIN_LOBE:
             edges.append(round(edge))
     edges[1 if len(edges) == 1 else -1 :] = [last]
     return np.array(edges)
@@ -199,7 +180,7 @@ def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
     moved, instrument = (one[:, edges[0] : edges[-1]] for one in (spectra.moved, spectra.instrument))
     own = np.sum(np.abs(instrument) ** 2, axis=0)
     common = np.abs(np.sum(moved * np.conj(instrument), axis=0)) ** 2 / np.maximum(own, 1e-300)
-    return float(common.sum()) > _FOLLOWS * float(np.sum(np.abs(moved) ** 2))
+    return float(common.sum()) > c.FOLLOWS * float(np.sum(np.abs(moved) ** 2))
 
 
 def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> Bands:
@@ -212,7 +193,7 @@ def _in_bands(spectra: _Spectra, band: tuple[float, float], every: _Spectra) -> 
     inside = slice(int(edges[0]), int(edges[-1]))
     least = [
         share * _power(lines, inside)
-        for lines, share in ((every.moved, _WEAK), (every.instrument, _NOTHING), (every.torque, _NOTHING))
+        for lines, share in ((every.moved, c.WEAK_BAND), (every.instrument, c.EMPTY_BAND), (every.torque, c.EMPTY_BAND))
     ]
     rows = []
     for first, last in pairwise(edges.tolist()):
@@ -242,15 +223,15 @@ def _band(spectra: _Spectra, lines: slice) -> list[tuple[float, ...]]:
     total, turning = (moved * weights).sum(), (rate * weights).sum()
     right = (torque * weights).sum()
     apart = abs(total.real * turning.imag - total.imag * turning.real)
-    if not apart > _ALIGNED * abs(total) * abs(turning):
+    if not apart > c.ALIGNED * abs(total) * abs(turning):
         return []
     system = np.array([[total.real, turning.real], [total.imag, turning.imag]])
     stiffness, damping = np.linalg.solve(system, [right.real, right.imag]).tolist()
     left = torque - stiffness * moved - damping * rate
     scores = np.abs(left * weights / abs(total)) ** 2
-    variance = float(scores.sum()) / 2.0 * _ALIKE
-    freedom = max(1.0, float(scores.sum() ** 2 / max(float((scores**2).sum()), 1e-300)) * 2.0 / _ALIKE - 2.0)
-    half = float(stdtrit(freedom, UPPER)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
+    variance = float(scores.sum()) / 2.0 * c.ALIKE
+    freedom = max(1.0, float(scores.sum() ** 2 / max(float((scores**2).sum()), 1e-300)) * 2.0 / c.ALIKE - 2.0)
+    half = float(stdtrit(freedom, c.UPPER)) * np.sqrt(variance * freedom / max(freedom - 1.0, 0.5))
     mean_speed = float(abs(turning / total))
     coherence = 1.0 - float(np.sum(np.abs(left) ** 2)) / float(np.sum(np.abs(torque) ** 2))
     return [(mean_speed / (2.0 * np.pi), stiffness, half, damping, half / mean_speed, max(0.0, coherence))]
@@ -262,10 +243,10 @@ def _by_amplitude(spectra: _Spectra, band: tuple[float, float]) -> tuple[Bands, 
 
     () if the deflections are equal.
     """
-    moving = spectra.deflection**2 > _WEAK * np.mean(spectra.deflection**2)
+    moving = spectra.deflection**2 > c.WEAK_BAND * np.mean(spectra.deflection**2)
     large = moving & (spectra.deflection > np.median(spectra.deflection[moving]))
     small = moving & ~large
-    if not large.any() or spectra.deflection[large].mean() < _APART * spectra.deflection[small].mean():
+    if not large.any() or spectra.deflection[large].mean() < c.TWO_AMPLITUDES * spectra.deflection[small].mean():
         return ()
     found = tuple(_in_bands(spectra.of(chosen), band, spectra) for chosen in (small, large))
     return found if all(bands.frequency.size for bands in found) else ()
@@ -291,11 +272,11 @@ def _repeating(torque: Array, moved: Array, samples: float) -> tuple[Array, Arra
     cut = [np.interp(grid, np.arange(len(moved)), values).reshape(count, length) for values in (torque, moved)]
     energy = np.sum((cut[1] - cut[1].mean()) ** 2, axis=1)
     usual = np.quantile(energy, 0.75)  # fades take energy away, in two of four periods
-    steady = np.abs(energy - usual) < _STEADY * usual
-    if np.count_nonzero(steady) < max(_REPEATED, count / 2):
+    steady = np.abs(energy - usual) < c.STEADY * usual
+    if np.count_nonzero(steady) < max(c.REPEATED, count / 2):
         return None
     apart = cut[1][steady] - cut[1][steady].mean(axis=0)
-    if np.sum(apart**2) > (1.0 - _PERIODIC) * np.sum(energy[steady]):
+    if np.sum(apart**2) > (1.0 - c.PERIODIC) * np.sum(energy[steady]):
         return None
     return cut[0][steady], cut[1][steady]
 
@@ -317,7 +298,7 @@ def _distorted(
     left = lines[0] - (joined[0] + speed * joined[1]) * lines[1]
     mean, size = left.mean(axis=0), np.abs(lines[1].mean(axis=0))
     noise = np.var(left, axis=0, ddof=1) / repeated
-    looked = (frequency > 0.0) & (frequency < _HARMONICS * band[1]) & (size < _EXCITED * size[1:].max())
+    looked = (frequency > 0.0) & (frequency < c.HARMONICS * band[1]) & (size < c.EXCITED * size[1:].max())
     if not looked.any():
         return None
     whole = float(np.sum(np.abs(lines[0].mean(axis=0)[1:]) ** 2))
@@ -344,10 +325,10 @@ def _periods(values: Array, shortest: int) -> list[float]:
     energy = np.sqrt(squares[count - lags] * (squares[-1] - squares[lags]))
     similar = products / np.maximum(energy, 1e-300)
     peaks = 1 + np.flatnonzero(
-        (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > _FADING)
+        (similar[1:-1] >= similar[:-2]) & (similar[1:-1] > similar[2:]) & (similar[1:-1] > c.FADING)
     )
     peaks = peaks[peaks > shortest]
-    alike = peaks[similar[peaks] > _PERIODIC][:1].tolist()
+    alike = peaks[similar[peaks] > c.PERIODIC][:1].tolist()
     most = peaks[np.argsort(-similar[peaks])][:1].tolist()
     found = []
     for at in dict.fromkeys(alike + most):

@@ -22,24 +22,15 @@ from ga.model.record import Mark, Parameter, Regressors, Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.signals.angle import difference
+from hil.signals.constants import DIFFERENCE, LENGTHS, SHORT_LAG, SMALL_TORQUE, SMOOTH, SOFT, TIMES
 from hil.signals.rate.low_pass import transform_size
 
 Array = NDArray[np.float64]
 
-TIMES: Final = tuple(np.geomspace(0.002, 0.2, 6).tolist())
-"""The times at which an effect of the earlier motion is looked for, s."""
 
-LENGTHS: Final = tuple(np.geomspace(0.01, 0.8, 9).tolist())
-"""The lengths at which a gap or presliding friction is looked for, as parts of the largest deflection."""
-
-_SMALL: Final = 0.05  # part of the samples, those with the smallest torque
-_SOFT: Final = 0.02  # of the r.m.s. rate, within which friction turns
-_SIXTH: Final = difference(6)
+_SIXTH: Final = difference(DIFFERENCE)
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance of `reading_noise` if the deflection has white noise of variance one."""
-
-_SMOOTH: Final = 0.05  # periods a sample, above which a reading is noise
-_LAG: Final = 1e-3  # s: a lag or delay this short looks like any other short one
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +135,7 @@ class Recorded:
     @property
     def softness(self) -> float:
         """The rate, rad/s, over which friction turns."""
-        return _SOFT * float(np.sqrt(np.mean(self.rate**2)))
+        return SOFT * float(np.sqrt(np.mean(self.rate**2)))
 
     def sign(self) -> Array:
         """Return the sign of the rate, smoothed where the rate is small."""
@@ -202,13 +193,13 @@ def _columns(*columns: Array) -> Array:
 
 def _smooth(recorded: Recorded, values: Array) -> Array:
     """Return values (n,) without the noise of their readings; that noise is an effect of its own."""
-    return recorded.smoothed(values, _SMOOTH / recorded.step)
+    return recorded.smoothed(values, SMOOTH / recorded.step)
 
 
 def _from_middles(recorded: Recorded) -> list[Array]:
     """Return the deflection, rad, relative to two points: where the torque is small, and the middle of its range."""
     angle, torque = recorded.centred(), np.abs(recorded.torque)
-    return [angle - float(np.median(angle[torque <= np.quantile(torque, _SMALL)])), angle]
+    return [angle - float(np.median(angle[torque <= np.quantile(torque, SMALL_TORQUE)])), angle]
 
 
 def _grid(recorded: Recorded, parameter: Parameter) -> tuple[float, ...]:
@@ -220,7 +211,7 @@ def _grid(recorded: Recorded, parameter: Parameter) -> tuple[float, ...]:
         return tuple(part * reach for part in LENGTHS[1::2])
     if parameter.kind == "gap width":
         return tuple(2.0 * part * reach for part in LENGTHS)
-    return (0.0 if parameter.place else max(_LAG, shortest),)
+    return (0.0 if parameter.place else max(SHORT_LAG, shortest),)
 
 
 def _of_term(term: Term, recorded: Recorded, model: Array) -> Iterator[Array]:

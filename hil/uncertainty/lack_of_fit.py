@@ -12,29 +12,19 @@ the fraction of the residuals that ridge regression predicts in blocks that it w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ACCURATE, FEWEST, TESTED
+from hil.signals import constants as c
 from hil.signals.deflection_noise import skew_by_noise
 from hil.uncertainty.criteria import COUPLING
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
 from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
-from hil.uncertainty.scores import SHORTEST, Scores
+from hil.uncertainty.scores import Scores
 
 Array = NDArray[np.float64]
-
-_EXACT: Final = 1e-9  # of the torque, below which residuals are rounding
-_DENSE: Final = 40.0  # samples a period that are enough
-_AS_GOOD: Final = 0.85  # of what the best effect explains, from which on another effect is a suspect too
-_EXPLAINS: Final = 0.4  # of the predicted share, which an effect must explain to be a suspect
-_OF_GAP: Final = (0.7, 1.5)  # times -Kc, the factor of a gap whose width or middle lies between those of the columns
-_NARROW: Final = 0.03  # of the largest deflection, half the width below which a gap may be narrower than its column
-_BY_CHANCE: Final = 0.01  # probability that one of all effects explains as much of nothing, from which it is no suspect
-_MOST_NOISE: Final = 4.0  # times what noise of the deflection's size adds to the residuals, that it may explain of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +55,12 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     """
     if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
         raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
-    if len(recorded) < FEWEST * SHORTEST or np.ptp(recorded.deflection) == 0.0:
+    if len(recorded) < c.FEWEST * c.SHORTEST_BLOCK or np.ptp(recorded.deflection) == 0.0:
         return None
     if fitted.kept is not None and np.count_nonzero(fitted.kept) <= fitted.columns.shape[1]:
         return None
     fitted = _blanked(fitted)
-    if float(np.std(fitted.residuals)) <= _EXACT * float(np.std(recorded.torque)):
+    if float(np.std(fitted.residuals)) <= c.EXACT * float(np.std(recorded.torque)):
         return None
     return _Tests(*_fewer(recorded, fitted)).result()
 
@@ -119,7 +109,7 @@ class _Tests:
         respects = _corrected(found)
         share, predicted = self.predicted(everything)
         suspects = self._suspects(share) if any(one.fails for one in respects) else ()
-        explained = bool(suspects) and suspects[0].share >= _AS_GOOD * share
+        explained = bool(suspects) and suspects[0].share >= c.AS_GOOD * share
         sizes = self._sizes(respects, suspects, predicted, explained=explained)
         lags, correlation = self._correlation()
         return LackOfFit(
@@ -172,7 +162,7 @@ class _Tests:
         lacking = [effect for effect in EFFECTS if effect.code not in self._fitted.included]
         found = [one for effect in lacking if (one := self._suspect(effect)) is not None and self._is_possible(one)]
         most = max((one.share for one in found), default=0.0)
-        least = max(_AS_GOOD * most, _EXPLAINS * share)
+        least = max(c.AS_GOOD * most, c.EXPLAINS * share)
         ranked = sorted((one for one in found if one.share >= least), key=lambda one: -one.share)
         # noise has more regressors than the others, and can be made of them
         return tuple(one for at, one in enumerate(ranked) if at == 0 or not one.effect.in_deflection)[:3]
@@ -184,7 +174,7 @@ class _Tests:
         if not one.effect.in_deflection:
             return True
         noise = self._fitted.values[0] ** 2 * float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
-        return one.share * float(np.mean(self._tested.residuals**2)) <= _MOST_NOISE * noise
+        return one.share * float(np.mean(self._tested.residuals**2)) <= c.MOST_NOISE * noise
 
     def _suspect(self, effect: Effect) -> Suspect | None:
         power, best = float(self._tested.residuals @ self._tested.residuals), None
@@ -199,7 +189,7 @@ class _Tests:
             moved = self._moved(effect, (columns * self._kept) @ factors)
             if effect.is_of("play") and not self._takes_spring(columns, float(factors[0]), moved[0]):
                 continue
-            if effect.in_deflection or self._tested.chance(left) < _BY_CHANCE / len(EFFECTS):  # noise is always there
+            if effect.in_deflection or self._tested.chance(left) < c.BY_CHANCE / len(EFFECTS):  # noise is always there
                 best = Suspect(effect, share, *moved)
         return best
 
@@ -212,8 +202,8 @@ class _Tests:
         stiffness = self._fitted.values[0] + moved * float(self._scale[0])
         if self._fitted.coupling is None:
             return True
-        least, most = _OF_GAP
-        narrow = float(np.abs(columns).max()) < _NARROW * self._recorded.reach()
+        least, most = c.GAP_FACTOR
+        narrow = float(np.abs(columns).max()) < c.NARROW_GAP * self._recorded.reach()
         return (0.0 if narrow else least * stiffness) < -factor < most * stiffness
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
@@ -284,7 +274,7 @@ class _Tests:
 
     def _outside(self, sizes: Array) -> tuple[str, ...]:
         scale = self._scale
-        beyond = sizes * scale > np.maximum(self._fitted.half_width, ACCURATE * scale)
+        beyond = sizes * scale > np.maximum(self._fitted.half_width, c.ACCURATE * scale)
         return tuple(name for name, is_beyond in zip(COUPLING, beyond.tolist(), strict=True) if is_beyond)
 
     def _correlation(self) -> tuple[Array, Array]:
@@ -304,15 +294,15 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
     """Return a recording and its fit with at most about `TESTED` samples: every n-th sample, or pieces spread over the
     recording.
     """
-    if len(recorded) <= TESTED:
+    if len(recorded) <= c.TESTED:
         return recorded, fitted
     speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
-    dense = 2.0 * np.pi / (speed * recorded.step * _DENSE) if speed > 0.0 else 1.0
-    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // TESTED, int(dense))))
+    dense = 2.0 * np.pi / (speed * recorded.step * c.DENSE) if speed > 0.0 else 1.0
+    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // c.TESTED, int(dense))))
     starts: set[int] = set()
-    if len(rows) > TESTED:
-        length = TESTED // FEWEST
-        firsts = np.linspace(0, len(rows) - length, FEWEST).astype(int)
+    if len(rows) > c.TESTED:
+        length = c.TESTED // c.FEWEST
+        firsts = np.linspace(0, len(rows) - length, c.FEWEST).astype(int)
         rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
         starts = set(range(0, len(rows), length))
     kept = None if fitted.kept is None else fitted.kept[rows]

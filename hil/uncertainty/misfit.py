@@ -6,23 +6,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import ACCURATE, FALSE_ALARMS, PREDICTED, RELEVANT
+from hil.signals import constants as c
 from hil.uncertainty.effects import Effect
 
 Array = NDArray[np.float64]
-
-_SMALL: Final = (1e-3, 5e-3)  # of Kc and Bc, up to which a misfit is a part of their intervals and no warning
-_PLAIN: Final = 0.1  # of the residuals' power: so much is a misfit even where it moves neither
-_OF_NOISE: Final = 0.5  # of what is predicted: where errors explain less, something else is there too
-_AGAIN: Final = 1.5  # times its own power: of twice the errors regressors with all predict 2, and of the first half 0.5
-_NEXT_TO_NOTHING: Final = 0.05  # of the same, up to which what errors add is far from explaining it
-_SCATTER: Final = 2.0  # standard deviations by which noise may leave more than it does on average
-_UNEXPLAINED: Final = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +33,7 @@ class Respect:
     @property
     def fails(self) -> bool:
         """Return whether this test rejects the model."""
-        return self.p < FALSE_ALARMS
+        return self.p < c.FALSE_ALARMS
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,21 +100,21 @@ class LackOfFit:
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
         mean, scatter = float(added.mean()), float(added.std(ddof=1))
-        doubt = 0.0 if self._grave else _SCATTER * scatter
+        doubt = 0.0 if self._grave else c.SCATTER * scatter
         return replace(self, of_noise=self._is_explained(mean + doubt))
 
     def _is_explained(self, added: float) -> bool:
         """Return whether errors of the motion explain the prediction. added: the power, (N m)^2, that they add when
         doubled.
         """
-        left = self.predicted**2 - added / _AGAIN
-        return left < min(PREDICTED / self.share, _OF_NOISE) * self.predicted**2
+        left = self.predicted**2 - added / c.DOUBLED_ERRORS
+        return left < min(c.PREDICTED / self.share, c.OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
         """Return whether errors of the motion explain almost nothing of the prediction. added: the power, (N m)^2, that
         they add when doubled.
         """
-        return self.share > 0.0 and added < _NEXT_TO_NOTHING * self.predicted**2
+        return self.share > 0.0 and added < c.NOT_OF_NOISE * self.predicted**2
 
     @property
     def affected(self) -> str | None:
@@ -144,7 +135,7 @@ class LackOfFit:
     @property
     def explains_too_little(self) -> bool:
         """Return whether a large part of the torque follows from the motion but not from the model."""
-        return self.unexplained > _UNEXPLAINED
+        return self.unexplained > c.OTHER_JOINT
 
     @property
     def is_of_another_joint(self) -> bool:
@@ -153,7 +144,7 @@ class LackOfFit:
 
     @property
     def _grave(self) -> list[str]:
-        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(RELEVANT), strict=True)
+        sizes = zip(("Kc", "Bc"), (self.Kc, self.Bc), self._limits(c.RELEVANT), strict=True)
         return [name for name, size, most in sizes if size > most]
 
     @property
@@ -191,17 +182,17 @@ class LackOfFit:
         if self.of_noise or not self.failed:
             return False
         if self._is_small:
-            return self.share >= _PLAIN and self.unexplained > ACCURATE and not self._is_harmless
+            return self.share >= c.PLAIN_MISFIT and self.unexplained > c.ACCURATE and not self._is_harmless
         if self._is_vague:
             return False
-        return bool(self.outside) or (self.share >= PREDICTED and not self._is_harmless)
+        return bool(self.outside) or (self.share >= c.PREDICTED and not self._is_harmless)
 
     @property
     def is_undecided(self) -> bool:
         """Return whether no test rejects the model although its residuals are predictable, because there are too few
         independent samples.
         """
-        return not self.failed and not self.misfit and self.share >= _PLAIN
+        return not self.failed and not self.misfit and self.share >= c.PLAIN_MISFIT
 
     @property
     def in_intervals(self) -> tuple[float, float]:
@@ -211,8 +202,8 @@ class LackOfFit:
     @property
     def _is_small(self) -> bool:
         """Return whether the misfit is smaller than the errors of real sensors, in Kc and Bc or in the torque."""
-        first, second = self._limits(_SMALL)
-        return (self.Kc <= first and self.Bc <= second) or self.unexplained <= ACCURATE
+        first, second = self._limits(c.SMALL_MISFIT)
+        return (self.Kc <= first and self.Bc <= second) or self.unexplained <= c.ACCURATE
 
     @property
     def _is_vague(self) -> bool:
@@ -223,7 +214,7 @@ class LackOfFit:
         without a warning.
         """
         vague = not self.suspects and all(one.Kc is None for one in self.failed)
-        return bool(self.failed) and not self.of_noise and self.share < PREDICTED and vague and not self._grave
+        return bool(self.failed) and not self.of_noise and self.share < c.PREDICTED and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:

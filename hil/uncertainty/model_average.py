@@ -21,6 +21,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import FAR_TAIL
+
 Array = NDArray[np.float64]
 
 AKAIKE: Final = 2.0
@@ -28,11 +30,6 @@ AKAIKE: Final = 2.0
 
 SELDOM: Final = 2.0 * math.log(10.0)
 """The additional cost of a parameter that only one joint in ten has."""
-
-_FAR: Final = -20.0
-"""The distance below zero, in standard deviations, from which the positive part of a normal distribution is only its
-tail.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +118,7 @@ def _positive_part(centre: float) -> tuple[float, float]:
     """Return mean and standard deviation of the positive part of a normal distribution with mean `centre` and standard
     deviation one.
     """
-    if centre < _FAR:  # the tail of an exponential distribution, by its first term
+    if centre < FAR_TAIL:  # the tail of an exponential distribution, by its first term
         return -1.0 / centre, -1.0 / centre
     ratio = math.exp(-0.5 * centre**2) / (math.sqrt(0.5 * math.pi) * math.erfc(-centre / math.sqrt(2.0)))
     return centre + ratio, math.sqrt(1.0 - ratio * (ratio + centre))

@@ -16,13 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import NORMAL, UPPER
+from hil.signals.constants import NORMAL, OUTSIDE, UPPER, VARIANCE_ROUNDING, VARIANCE_STEPS
 
 Array = NDArray[np.float64]
-
-_OUTSIDE = 0.005  # probability that one more measurement is as far from the others, to one side
-_STEPS = 200  # a step at least doubles a variance that is far too small: enough for 60 decades
-_ROUNDING = 1e-14
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +84,7 @@ def is_outside(value: float, values: Array, standard_error: float) -> bool:
 
     pooled = between(values, np.full(len(values), standard_error))
     deviation = float(np.sqrt(pooled.standard_error**2 + pooled.between**2 + standard_error**2))
-    return bool(abs(value - pooled.value) > -stdtrit(len(values) - 1, _OUTSIDE) * deviation)
+    return bool(abs(value - pooled.value) > -stdtrit(len(values) - 1, OUTSIDE) * deviation)
 
 
 def drift(times: Array, values: Array, standard_errors: Array) -> Drift:
@@ -168,9 +164,9 @@ def _variance_where(design: Array, values: Array, errors: Array, squares: float)
     The sum falls with the variance and is convex, so Newton's method from 0 never overshoots.
     """
     variance = 0.0
-    for _ in range(_STEPS):
+    for _ in range(VARIANCE_STEPS):
         found, fall = _weighted_squares(design, values, errors**2 + variance)
-        if found <= squares or found - squares <= _ROUNDING * fall * variance:
+        if found <= squares or found - squares <= VARIANCE_ROUNDING * fall * variance:
             break
         variance += (found - squares) / fall
     return variance

@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.uncertainty.effects import LENGTHS, TIMES, Recorded, of_readings
+from hil.signals.constants import CELLS_A_SIDE, LENGTHS, TIMES, WAVES
+from hil.uncertainty.effects import Recorded, of_readings
 
 Array = NDArray[np.float64]
 
-_TURNS: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)  # of a wave over half the range of the angle
-_CELLS: Final = 7  # a side of the plane of deflection and rate
 
 NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -56,7 +55,7 @@ def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
     return {
         "memory": _of_before(recorded, x, v),
         "shape": _shapes(recorded, x, v, np.abs(model - np.median(model))),
-        "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in _TURNS for wave in (np.cos, np.sin)], axis=1),
+        "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in WAVES for wave in (np.cos, np.sin)], axis=1),
         "time": _in_time(recorded, x, v),
         "readings": of_readings(recorded),
     }
@@ -86,9 +85,9 @@ def mean_over_plane(recorded: Recorded, residuals: Array) -> Array:
     """Return the mean residual, N m, in cells of deflection (rows) and rate (columns); NaN in empty cells."""
     at = []
     for values in (recorded.deflection, recorded.rate):
-        edges = np.quantile(values, np.linspace(0.0, 1.0, _CELLS + 1)[1:-1])
+        edges = np.quantile(values, np.linspace(0.0, 1.0, CELLS_A_SIDE + 1)[1:-1])
         at.append(np.searchsorted(edges, values))
-    cell = at[0] * _CELLS + at[1]
-    counts = np.bincount(cell, minlength=_CELLS**2)
-    sums = np.bincount(cell, weights=residuals, minlength=_CELLS**2)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(_CELLS, _CELLS)
+    cell = at[0] * CELLS_A_SIDE + at[1]
+    counts = np.bincount(cell, minlength=CELLS_A_SIDE**2)
+    sums = np.bincount(cell, weights=residuals, minlength=CELLS_A_SIDE**2)
+    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan).reshape(CELLS_A_SIDE, CELLS_A_SIDE)

@@ -22,17 +22,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import DEPENDENT
+from hil.signals.constants import BAND_WIDTH, DEPENDENT, EXPONENTS, FEWEST_LINES, SEGMENT
 
 Array = NDArray[np.float64]
 
-_LONGEST = 32_768  # samples of a segment: residuals further apart count as uncorrelated
-_FEWEST = 8  # lines of a spectrum in a band: with fewer, its power is too uncertain
-_WIDENING = 0.25  # of a band's lower end, its width: the power of a drive's noise changes by octaves
-_SLOW, _NEXT = np.maximum(np.arange(_FEWEST), 1), np.arange(_FEWEST, 2 * _FEWEST)  # lines of the two lowest bands
-_FALLS = np.linspace(0.0, 2.0, 41)  # exponents of the power over the frequency, from white noise to a random walk
-_SHAPES = _SLOW ** -_FALLS[:, None]
-_STEPS = np.log(_SHAPES.mean(axis=1) / np.mean(_NEXT ** -_FALLS[:, None], axis=1))  # between the two bands, by exponent
+_SLOW, _NEXT = (
+    np.maximum(np.arange(FEWEST_LINES), 1),
+    np.arange(FEWEST_LINES, 2 * FEWEST_LINES),
+)  # lines of the two lowest bands
+_SHAPES = _SLOW ** -EXPONENTS[:, None]
+_STEPS = np.log(
+    _SHAPES.mean(axis=1) / np.mean(_NEXT ** -EXPONENTS[:, None], axis=1)
+)  # between the two bands, by exponent
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +82,10 @@ class ResidualSpectrum:
         No weight is below one: motion that is slow only in a part of the recording meets other noise. The slope of the
         power has a chance error, so one standard error of its logarithm is added.
         """
-        if len(self.slowest) < _FEWEST:
+        if len(self.slowest) < FEWEST_LINES:
             return self.crossed
         rise = float(np.log(self._counted[0] / self._counted[1])) - float(np.sqrt(np.sum(1.0 / self._left[:2])))
-        shape = _SLOW ** -float(np.interp(rise, _STEPS, _FALLS))
+        shape = _SLOW ** -float(np.interp(rise, _STEPS, EXPONENTS))
         weights = np.maximum(shape / shape.mean(), 1.0)
         return np.concatenate([np.einsum("k,kpq->pq", weights, self.slowest)[None], self.crossed[1:]])
 
@@ -145,21 +146,21 @@ def _edges(count: int) -> tuple[Array, int]:
     count: samples of a segment. If there is only one band, its lower end is returned in place of those of its lines.
     """
     starts, last = [0], count // 2 + 1
-    while (following := starts[-1] + max(_FEWEST, int(_WIDENING * starts[-1]))) <= last - _FEWEST:
+    while (following := starts[-1] + max(FEWEST_LINES, int(BAND_WIDTH * starts[-1]))) <= last - FEWEST_LINES:
         starts.append(following)
-    slow = _FEWEST if len(starts) > 1 else 1
+    slow = FEWEST_LINES if len(starts) > 1 else 1
     return np.r_[0:slow, starts[1:]] / count - 0.5 / count, slow
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:
-    """Yield the rows in segments of `_LONGEST` rows; the last segment may be shorter."""
+    """Yield the rows in segments of `SEGMENT` rows; the last segment may be shorter."""
     waiting: list[tuple[Array, Array]] = []
     for block in blocks:
         waiting.append(block)
-        while sum(len(signs) for _, signs in waiting) >= _LONGEST:
+        while sum(len(signs) for _, signs in waiting) >= SEGMENT:
             columns, signs = (np.concatenate(parts) for parts in zip(*waiting, strict=True))
-            yield columns[:_LONGEST], signs[:_LONGEST]
-            waiting = [(columns[_LONGEST:], signs[_LONGEST:])]
+            yield columns[:SEGMENT], signs[:SEGMENT]
+            waiting = [(columns[SEGMENT:], signs[SEGMENT:])]
     columns, signs = (np.concatenate(parts) for parts in zip(*waiting, strict=True))
     if len(signs):
         yield columns, signs

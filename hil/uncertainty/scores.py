@@ -5,25 +5,13 @@ prediction.
 from __future__ import annotations
 
 from functools import cached_property, lru_cache
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import CLIPPED, FEWEST, SPREAD
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-SHORTEST: Final = 25
-"""The smallest number of samples in a block."""
-
-_GROSS: Final = 10.0  # the same where the size of an effect is estimated
-_FLIPS: Final = 16383  # of the blocks' signs
-_MOST: Final = 64  # blocks
-_APART: Final = 8.0  # correlation times of the residuals in a block
-_RIDGES: Final = (1e-4, 1e-2, 1.0)  # of the features' mean power
-_FOLDS: Final = 10
-_DEPENDENT: Final = 1e-6  # of a feature's power, that must be new, for it to be one
 
 
 class Scores:
@@ -36,7 +24,7 @@ class Scores:
 
     def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
         self._basis, self._kept = _basis(columns), kept[:, None]
-        self.scores = _clipped(residuals, self._basis, kept, CLIPPED)
+        self.scores = _clipped(residuals, self._basis, kept, c.CLIPPED)
         self._left = residuals
 
     @cached_property
@@ -44,7 +32,7 @@ class Scores:
         """Return the residuals (n,), N m, with only gross outliers clipped. They are computed at the first use, because
         a prediction does not need them.
         """
-        return _clipped(self._left, self._basis, self._kept[:, 0], _GROSS)
+        return _clipped(self._left, self._basis, self._kept[:, 0], c.GROSS_OUTLIER)
 
     @cached_property
     def _firsts(self) -> NDArray[np.int64]:
@@ -59,7 +47,7 @@ class Scores:
         power = np.einsum("nk,nk->k", features, features)
         left = self.without_model(features)
         kept = np.einsum("nk,nk->k", left, left)
-        there = kept > _DEPENDENT * np.maximum(power, np.finfo(float).tiny)
+        there = kept > c.NEW_FEATURE * np.maximum(power, np.finfo(float).tiny)
         return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
 
     def without_model(self, features: Array) -> Array:
@@ -73,23 +61,23 @@ class Scores:
             return 1.0
         sums = np.add.reduceat(features * self.scores[:, None], self._firsts, axis=0)
         values, vectors = np.linalg.eigh(features.T @ features)
-        whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + _RIDGES[1] * values.mean()))
+        whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + c.RIDGES[1] * values.mean()))
         total = float(np.sum(whitened.sum(axis=0) ** 2))
         by_chance = np.sum(
             (whitened.T @ _signs(len(self._firsts))) ** 2, axis=0
         )  # long rows: a sum over short ones takes as long
-        return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + _FLIPS))
+        return float((1 + np.count_nonzero(by_chance >= total * (1.0 - 1e-9))) / (1 + c.FLIPS))
 
     def predicted(self, features: Array) -> tuple[float, float]:
         """Return the fraction, 0 to 1, of the residuals' power that features (n, k) predict in unseen blocks, and the
         size of that part, N m r.m.s.
         """
-        fold = np.arange(len(features)) * _FOLDS // len(features)
-        parts = [(features[fold == k], self.scores[fold == k]) for k in range(_FOLDS)]
+        fold = np.arange(len(features)) * c.FOLDS // len(features)
+        parts = [(features[fold == k], self.scores[fold == k]) for k in range(c.FOLDS)]
         grams = np.array([part.T @ part for part, _ in parts])
         sums = np.array([part.T @ left for part, left in parts])
         power, best = float(self.scores @ self.scores), 0.0
-        for ridge in _RIDGES:
+        for ridge in c.RIDGES:
             penalty = ridge * len(features) * np.eye(features.shape[1])
             weights = np.linalg.solve(grams.sum(axis=0) - grams + penalty, (sums.sum(axis=0) - sums)[:, :, None])
             gained = sum(
@@ -102,8 +90,8 @@ class Scores:
 
 @lru_cache(maxsize=2)
 def _signs(blocks: int) -> Array:
-    """Random signs (blocks, _FLIPS) of the blocks."""
-    return np.asarray(np.random.default_rng(0).integers(0, 2, (_FLIPS, blocks)) * 2.0 - 1.0).T.copy()
+    """Random signs (blocks, FLIPS) of the blocks."""
+    return np.asarray(np.random.default_rng(0).integers(0, 2, (c.FLIPS, blocks)) * 2.0 - 1.0).T.copy()
 
 
 def _basis(columns: Array) -> Array:
@@ -133,7 +121,7 @@ def _spread(residuals: Array) -> float:
     """Return the standard deviation of residuals, N m, robust to outliers unless more than half of the residuals are
     zero.
     """
-    return SPREAD * float(np.median(np.abs(residuals))) or float(np.std(residuals))
+    return c.SPREAD * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 
 def _blocks(scores: Array) -> NDArray[np.int64]:
@@ -144,6 +132,6 @@ def _blocks(scores: Array) -> NDArray[np.int64]:
     alike /= alike[0] if alike[0] > 0.0 else 1.0
     until = int(np.argmax(alike < 0.05)) or 1
     together = 1.0 + 2.0 * float(alike[1:until].sum())
-    length = int(max(_APART * together, SHORTEST, count / _MOST))
-    number = max(FEWEST, min(_MOST, count // length))
+    length = int(max(c.BLOCK_LENGTHS * together, c.SHORTEST_BLOCK, count / c.MOST_BLOCKS))
+    number = max(c.FEWEST, min(c.MOST_BLOCKS, count // length))
     return (np.arange(number) * count) // number

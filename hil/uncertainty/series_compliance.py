@@ -20,12 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
+from hil.signals.constants import SERIES_CONVERGED, SERIES_ROUNDS
 from hil.signals.rate.spectrum import power_of
 
 Array = NDArray[np.float64]
-
-_ROUNDS = 50
-_CONVERGED = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +72,8 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
     target = np.array([measured.stiffness, measured.damping])
     held = np.array([fixture.stiffness, fixture.damping])
     found = _closed_form(target, held)
-    small = _CONVERGED * target[0] * np.array([1.0, 1.0 / (2.0 * np.pi * excitation.frequency.max())])
-    for _ in range(_ROUNDS):
+    small = SERIES_CONVERGED * target[0] * np.array([1.0, 1.0 / (2.0 * np.pi * excitation.frequency.max())])
+    for _ in range(SERIES_ROUNDS):
         step = np.linalg.solve(_jacobian(found, held, excitation), target - series(found, held, excitation))
         found = found + step
         if np.all(np.abs(step) <= small):

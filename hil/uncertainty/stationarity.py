@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import FALSE_ALARMS, NORMAL, RELEVANT
+from hil.signals.constants import FALSE_ALARMS, NORMAL, PRECISE, QUARTERS, RELEVANT, ZERO_SHARE
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
 from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
@@ -21,10 +21,7 @@ from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
 
-_OF_ERROR = 0.5  # of the mean error of the fit, from which another zero makes a part of it
 _OTHERS = {True: "the others", False: "the other one"}
-_PARTS = 4  # of a recording, each of which gives its own estimate of Kc
-_PRECISE = 0.2  # half the width of a part's interval over its value, above which its Kc is not compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +111,7 @@ def other_zeros(
         return []
     values = np.array(one.values)
     at, usual = _most_apart(values)
-    if not abs(values[at] - usual) > _OF_ERROR * error:
+    if not abs(values[at] - usual) > ZERO_SHARE * error:
         return []
     text = (
         f"the torque at rest of {paths[at]} differs by {values[at] - usual:+.3g} N m from {_OTHERS[len(values) > 2]}; "
@@ -133,7 +130,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
     """
     found = []
     for first, last in pairwise((0, *edges)):
-        cuts = np.linspace(first, last, _PARTS + 1).astype(int).tolist()
+        cuts = np.linspace(first, last, QUARTERS + 1).astype(int).tolist()
         values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
         if values and max(values) > DIFFERENT * min(values):
             found.append(
@@ -182,4 +179,4 @@ def _stiffness(blocks: Blocks, kc: int) -> list[float]:
     kc: the index of the column of Kc.
     """
     values, half = _fitted(blocks)
-    return [float(values[kc])] if len(values) and half[kc] < _PRECISE * values[kc] else []
+    return [float(values[kc])] if len(values) and half[kc] < PRECISE * values[kc] else []

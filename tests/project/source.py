@@ -18,7 +18,8 @@ class Module:
 
     imports: the modules that it imports; private: names with an underscore that it imports. functions: lines of each,
     by its first line and name. prints_or_exits: the lines that do. codes: of its diagnostics. named: numbers in
-    assignments at the top level; unnamed: in functions, but no plain ones, no index, no exponent.
+    assignments at the top level; decides: those that are no plain ones; unnamed: in functions, but no plain ones, no
+    index, no exponent.
     """
 
     lines: int
@@ -28,6 +29,7 @@ class Module:
     prints_or_exits: list[int] = field(default_factory=list)
     codes: set[str] = field(default_factory=set)
     named: int = 0
+    decides: list[float] = field(default_factory=list)
     unnamed: int = 0
 
 
@@ -68,7 +70,8 @@ def _read(text: str) -> Module:
             case ast.Call(func=ast.Name(id="Diagnostic"), args=[ast.Constant(value=code), *_]):
                 module.codes.add(str(code))
     assigned = [s.value for s in tree.body if isinstance(s, ast.Assign | ast.AnnAssign) and s.value is not None]
-    module.named = sum(len(_numbers(value)) for value in assigned)
+    named = [number.value for value in assigned for number in _numbers(value)]
+    module.named, module.decides = len(named), [value for value in named if not _is_plain(value)]
     module.unnamed = sum(not _is_plain(number.value) for number in in_functions - clear)
     return module
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals import constants as c
 from hil.signals.rate.savitzky_golay import local_polynomial, local_weights
 
 if TYPE_CHECKING:
@@ -29,17 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Cubic = tuple[NDArray[np.int64], Array, Array]
 
-_ATTENUATION: Final = 70.0  # dB, in the stop band; in the pass band as little is lost, 0.03 %
-_BETA: Final = 0.1102 * (_ATTENUATION - 8.7)  # of the window, by Kaiser's formula
-_FLAT: Final = 12  # neighbours a side of the differences, which are right to 0.06 % up to 0.28 times the sampling rate
-_PASSED: Final = 1.1  # times the highest frequency, up to where all is passed
-STOPPED: Final = 1.6  # times it, from where nothing is
-_NYQUIST: Final = 0.9  # part of half the sampling rate that the stop band must begin below
 _SIGNALS: Final = 3  # deflection, rate, acceleration
-_BRIDGED: Final = 4.0  # steps between two samples, up to which the readings between them are interpolated
-_LEFT: Final = 0.8  # of the samples, that must remain
-_KEPT: Final = 100_000  # samples, whose weights, 20 MB, are kept for stamps asked for again
-_EVEN: Final = 1e-3  # of a step, within which stamps are even
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,18 +50,18 @@ class LowPass:
     @property
     def longest_step(self) -> float:
         """Return the longest time between two samples, s, at which a low-pass with this cut is possible."""
-        return _NYQUIST / (4.0 * self.cut) * (_PASSED + STOPPED) / STOPPED
+        return c.NYQUIST / (4.0 * self.cut) * (c.PASSED + c.STOPPED) / c.STOPPED
 
     def of_every(self, every: int) -> LowPass:
         """Return the low-pass with the same cut for a signal that has only every `every`-th sample."""
-        return replace(self, half=ceil((self.half - _FLAT) / every) + _FLAT, step=every * self.step)
+        return replace(self, half=ceil((self.half - c.FLAT) / every) + c.FLAT, step=every * self.step)
 
     @lru_cache(maxsize=8)  # noqa: B019 - it holds four numbers
     def kernels(self) -> Array:
         """Return the weights (3, 2*half+1) that give value, slope per s and curvature per s^2."""
-        own = self.half - _FLAT
+        own = self.half - c.FLAT
         offsets = np.arange(-own, own + 1)
-        window = np.i0(_BETA * np.sqrt(1.0 - (offsets / (own + 1)) ** 2)) - 1.0
+        window = np.i0(c.BETA * np.sqrt(1.0 - (offsets / (own + 1)) ** 2)) - 1.0
         value = np.sinc(2.0 * self.cut * self.step * offsets) * window
         found = np.array([np.convolve(value / value.sum(), one) for one in _differences(self.step)])
         found.flags.writeable = False
@@ -92,26 +83,26 @@ def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
     time (n,): s. near: the number of neighbours on each side of a local polynomial with the same pass band.
     """
     step = float(np.median(np.diff(time)))
-    edge, stop = _PASSED * highest, STOPPED * highest
-    if stop * 2.0 * step > _NYQUIST:
+    edge, stop = c.PASSED * highest, c.STOPPED * highest
+    if stop * 2.0 * step > c.NYQUIST:
         return None
     # Kaiser's formula for the length
-    half = int(np.ceil((_ATTENUATION - 7.95) / (2.0 * 14.36 * (stop - edge) * step)))
-    found = LowPass(0.5 * (edge + stop), half + _FLAT, step, near)
-    return found if float(np.mean(is_sound(time, found))) >= _LEFT else None
+    half = int(np.ceil((c.ATTENUATION - 7.95) / (2.0 * 14.36 * (stop - edge) * step)))
+    found = LowPass(0.5 * (edge + stop), half + c.FLAT, step, near)
+    return found if float(np.mean(is_sound(time, found))) >= c.LEFT_BY_FILTER else None
 
 
 def _differences(step: float) -> Array:
-    """Return the weights (3, 2*_FLAT+1) that give value, slope per s and curvature per s^2 from neighbours `step` s
+    """Return the weights (3, 2*FLAT+1) that give value, slope per s and curvature per s^2 from neighbours `step` s
     apart.
 
     The weights are the central differences of that length that are flattest at low frequencies (Fornberg 1988).
     """
-    at = np.arange(1, _FLAT + 1)
-    ratio = np.array([(-1.0) ** (k + 1) * comb(2 * _FLAT, _FLAT - k) / comb(2 * _FLAT, _FLAT) for k in at.tolist()])
+    at = np.arange(1, c.FLAT + 1)
+    ratio = np.array([(-1.0) ** (k + 1) * comb(2 * c.FLAT, c.FLAT - k) / comb(2 * c.FLAT, c.FLAT) for k in at.tolist()])
     slope, curvature = ratio / at / step, 2.0 * ratio / at**2 / step**2
-    value = np.zeros(2 * _FLAT + 1)
-    value[_FLAT] = 1.0
+    value = np.zeros(2 * c.FLAT + 1)
+    value[c.FLAT] = 1.0
     return np.array(
         [
             value,
@@ -139,7 +130,7 @@ def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
 
     What depends only on the stamps is computed once, so that many readings at the same stamps cost less.
     """
-    if len(time) < _KEPT:
+    if len(time) < c.KEPT_WEIGHTS:
         return _passing_again(low_pass, time.tobytes())
     through = _through(time, low_pass)  # transforms of many long columns at once would need much memory
     return lambda values: np.apply_along_axis(through, -1, values)
@@ -165,7 +156,7 @@ def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
 
 def _stretches(time: Array, step: float) -> list[slice]:
     """Return the pieces between gaps that are too long to interpolate."""
-    breaks = np.flatnonzero(np.diff(time) > _BRIDGED * step) + 1
+    breaks = np.flatnonzero(np.diff(time) > c.BRIDGED * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
@@ -187,7 +178,7 @@ def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     """Return a function that gives the first row of `_passed`, for stamps that are used many times."""
     if _is_even(time, low_pass):
         return lambda values: np.asarray(_filtered(values, low_pass, 1)[..., 0, :])
-    if not 2 * low_pass.near < len(time) < _KEPT:
+    if not 2 * low_pass.near < len(time) < c.KEPT_WEIGHTS:
         return lambda values: np.apply_along_axis(lambda one: _passed(time, one, low_pass)[0], -1, values)
     grid = _grid(time, low_pass)
     there, back = _to_grid(time, grid, low_pass.near), _matrix(_cubic(grid, time), len(grid))
@@ -230,7 +221,7 @@ def transform_size(count: int) -> int:
 def _is_even(time: Array, low_pass: LowPass) -> bool:
     count = 1 + round((time[-1] - time[0]) / low_pass.step)
     even = np.linspace(time[0], time[-1], count) if count == len(time) else time + low_pass.step
-    return bool(np.all(np.abs(even - time) < _EVEN * low_pass.step))
+    return bool(np.all(np.abs(even - time) < c.EVEN * low_pass.step))
 
 
 def _grid(time: Array, low_pass: LowPass) -> Array:

@@ -10,21 +10,14 @@ information.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import ENOUGH, PREDICTED, RELEVANT, SURE
-from hil.signals.stamps import APART
+from hil.signals.constants import APART, ENOUGH, INDEPENDENT, LAGS, LONGEST_LAG, PREDICTED, RELEVANT, SAME_ERRORS, SURE
 
 Array = NDArray[np.float64]
-
-_LONGEST: Final = 0.5  # of the shortest period, that a lag is looked for
-_FINE: Final = 16  # lags a side that are tried first
-_ALIKE: Final = 0.95  # correlation of two rates' errors, from which they are the same
-_EFFECTIVE: Final = 2.0  # samples a period of the band's upper end, that count as independent
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +77,7 @@ def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> b
 
 def _are_alike(errors: Array, others: Array) -> bool:
     power = float(np.sqrt((errors @ errors) * (others @ others)))
-    return power > 0.0 and float(errors @ others) > _ALIKE * power
+    return power > 0.0 and float(errors @ others) > SAME_ERRORS * power
 
 
 def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRate | None:
@@ -94,7 +87,7 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
     highest: the upper end of the excited band, Hz.
     """
     good = np.flatnonzero(np.isfinite(derived))[:ENOUGH]
-    longest = _LONGEST / highest
+    longest = LONGEST_LAG / highest
     known, inside = (time[good], derived[good]), _inside(time[good], longest)
     time, given, derived = time[good][inside], given[good][inside], derived[good][inside]
     power = float(derived @ derived)
@@ -108,13 +101,13 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
 
     from scipy.optimize import minimize_scalar
 
-    coarse = longest * np.arange(-_FINE, _FINE + 1) / _FINE
+    coarse = longest * np.arange(-LAGS, LAGS + 1) / LAGS
     nearest = float(coarse[np.argmin([left(lag)[0] for lag in coarse.tolist()])])
-    width = longest / _FINE
+    width = longest / LAGS
     lag = float(minimize_scalar(lambda at: left(at)[0], bounds=(nearest - width, nearest + width), method="bounded").x)
     rest, size = left(lag)
     turning = np.gradient(known[1], known[0])[inside]
-    independent = max(1.0, min(float(len(time)), _EFFECTIVE * highest * float(time[-1] - time[0])))
+    independent = max(1.0, min(float(len(time)), INDEPENDENT * highest * float(time[-1] - time[0])))
     error = np.sqrt(rest / len(time) / independent)  # of a rate of 1 rad/s, coloured as the band is
     late = abs(lag) > max(RELEVANT[0] / (2.0 * np.pi * highest), SURE * error / float(np.sqrt(np.mean(turning**2))))
     other = abs(size - 1.0) > max(RELEVANT[0], SURE * error / float(np.sqrt(power / len(time))))

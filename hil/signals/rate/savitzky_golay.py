@@ -11,37 +11,18 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.signals.constants import BLOCK_LENGTH, DEGREE, SHARED_WINDOWS, SINGULAR, THREAD_SAMPLES
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-DEGREE = 7
-"""The degree of the polynomial: high, so that a wide window, which averages noise, has a flat gain over the excited
-band.
-"""
 
 LEAST = (DEGREE + 1) // 2
 """The smallest number of neighbours on each side: with fewer there are fewer readings than coefficients."""
-
-_SHARE: Final = 4
-"""The length, in half windows, by which a block of windows with shared sums may exceed a single window."""
-
-_WIDER: Final = 1.3
-"""The largest ratio of a block's length to that of its shortest window; beside a gap in time a block contains fewer
-windows.
-"""
-
-_SINGULAR: Final = 1e-14
-"""The fraction of a diagonal element, after elimination, below which the stamps determine no polynomial, as across a
-long gap.
-"""
-
-_PART: Final = 32_768
-"""The number of samples that a thread processes at a time."""
 
 
 def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array:
@@ -115,7 +96,7 @@ def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
     """Call the function `work` for all samples from `first` to `last` in parts; many parts run in threads, with the
     same result.
     """
-    parts = [(at, min(at + _PART, last)) for at in range(first, last, _PART)]
+    parts = [(at, min(at + THREAD_SAMPLES, last)) for at in range(first, last, THREAD_SAMPLES)]
     if len(parts) == 1:
         work(*parts[0])
         return
@@ -128,7 +109,7 @@ def _together(half: int) -> int:
     """Return how many windows share a basis and sums. With more windows in a block, each window covers less of the
     block's interval.
     """
-    return max(half // _SHARE, 1)
+    return max(half // SHARED_WINDOWS, 1)
 
 
 @lru_cache(maxsize=256)  # an identification asks for the same few windows again and again
@@ -180,7 +161,7 @@ def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
     """
     start = _first(half, windows, len(time))
     end = time[start + 2 * half]
-    return np.asarray(end[:, -1] - time[start[:, 0]] <= _WIDER * (end - time[start]).min(axis=1))
+    return np.asarray(end[:, -1] - time[start[:, 0]] <= BLOCK_LENGTH * (end - time[start]).min(axis=1))
 
 
 def _derivatives(time: Array, values: Array, half: int, order: int, windows: Index) -> Array:
@@ -254,7 +235,7 @@ def _solved(sums: Array, right: Array) -> Array:
         for j in range(m):
             column -= root[m:, j] * root[m, j]
         whole = 0.5 * (sums[2 * m] + sums[0])
-        diagonal = np.sqrt(np.where(column[0] > _SINGULAR * whole, column[0], np.nan))
+        diagonal = np.sqrt(np.where(column[0] > SINGULAR * whole, column[0], np.nan))
         root[m:, m] = column / diagonal
         root[m, m] = diagonal
         found[m] /= diagonal

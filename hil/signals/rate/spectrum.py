@@ -8,18 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import GAIN_ERROR, MOST
+from hil.signals import constants as c
 from hil.signals.stamps import mean_step, pieces
 
 Array = NDArray[np.float64]
-
-_SHARE = 0.01  # of the power of the deflection below the band, and of the rate above it
-_MEDIAN = 0.934  # of the mean, of a mean of five lines' powers
-_CLEARLY = 10.0  # times the density of the noise floor: counts of a slow motion are not white
-_COUNTED = 1.3  # times the power of rounding: no more of it is left above a frequency where all else is motion below
-_RIPPLES = 2.5  # times the upper end of that, from where on there may be ripple
-_RISES = 7.0  # times the least density between them, which that of ripple reaches
-_TAPER = 0.02  # of a recording at each end
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:
@@ -42,7 +34,7 @@ def power_of(time: Array, values: Array) -> tuple[Array, Array, float]:
     for part in pieces(time):
         rows = part.stop - part.start
         uniform = np.interp(np.linspace(time[part][0], time[part][-1], rows), time[part], values[part])
-        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(rows) + 0.5) / (_TAPER * count))) ** 2
+        taper = np.sin(0.5 * np.pi * np.minimum(1.0, (np.arange(rows) + 0.5) / (c.TAPER * count))) ** 2
         taper *= taper[::-1]
         power += np.abs(np.fft.rfft((uniform - uniform.mean()) * taper, count)) ** 2
         weight += float(np.sum(taper**2))
@@ -72,7 +64,7 @@ class Spectrum:
         """
         frequency, power, weight = power_of(time, dtheta)
         density = np.convolve(power, np.full(5, 0.2), mode="same")
-        of_white = _MEDIAN * weight  # the density of white noise of 1 rad
+        of_white = c.MEDIAN_POWER * weight  # the density of white noise of 1 rad
         rounding = least**2 * of_white
         floor = max(float(np.median(density[len(density) // 2 :])), rounding)
         return cls(frequency[1:], density[1:], floor, float(np.sqrt(floor / of_white)), rounding)
@@ -84,16 +76,18 @@ class Spectrum:
         if not excited.any():
             return float(self.frequency[0]), float(self.frequency[-1])
         power = np.cumsum(excited)
-        low = int(np.searchsorted(power, _SHARE * power[-1]))
-        return float(self.frequency[low]), max(float(self.frequency[low]), self._upper_end(excited, 1.0 - _SHARE))
+        low = int(np.searchsorted(power, c.OUTSIDE_BAND * power[-1]))
+        return float(self.frequency[low]), max(
+            float(self.frequency[low]), self._upper_end(excited, 1.0 - c.OUTSIDE_BAND)
+        )
 
     @cached_property
     def _excited(self) -> Array:
         """Return the density (n,) that is motion and not noise. Rounding of a steady motion is removed too: its power
         lies in lines.
         """
-        beyond = np.cumsum(self.density[::-1])[::-1] > _COUNTED * self.rounding * len(self.density)
-        return np.where(beyond & (self.density > _CLEARLY * self.floor), self.density - self.floor, 0.0)
+        beyond = np.cumsum(self.density[::-1])[::-1] > c.ABOVE_ROUNDING * self.rounding * len(self.density)
+        return np.where(beyond & (self.density > c.ABOVE_FLOOR * self.floor), self.density - self.floor, 0.0)
 
     def _upper_end(self, excited: Array, share: float) -> float:
         """Return the frequency, Hz, below which the fraction `share` of the rate's power lies."""
@@ -110,19 +104,19 @@ class Spectrum:
         """
         begins = self.rises_beyond(self.main)
         power = self._excited * self.frequency**2
-        return begins if power[self.frequency > begins].sum() > GAIN_ERROR * power.sum() else np.inf
+        return begins if power[self.frequency > begins].sum() > c.GAIN_ERROR * power.sum() else np.inf
 
     @property
     def main(self) -> float:
         """Return the frequency, Hz, up to which the joint moves, without ripple; infinite if it does not move."""
-        return self._upper_end(self._excited, MOST) if self._excited.any() else np.inf
+        return self._upper_end(self._excited, c.MOST) if self._excited.any() else np.inf
 
     def rises_beyond(self, main: float) -> float:
         """Return the frequency, Hz, above which the density is far higher than just above the motion.
 
         main: the frequency up to which the joint moves, Hz.
         """
-        beyond = self.frequency > _RIPPLES * main
+        beyond = self.frequency > c.RIPPLE_BEGINS * main
         width = max(1, round(main / float(self.frequency[0]))) if beyond.any() else 1
         if np.count_nonzero(beyond) <= width:
             return np.inf
@@ -130,7 +124,7 @@ class Spectrum:
         sums = np.cumsum(np.append(0.0, self.density[beyond][::-1]))
         smooth = ((sums[width:] - sums[:-width]) / width)[::-1]
         least = np.minimum.accumulate(smooth)
-        rises = np.flatnonzero((smooth > _RISES * least) & (smooth > _CLEARLY * self.floor))
+        rises = np.flatnonzero((smooth > c.RIPPLE_RISES * least) & (smooth > c.ABOVE_FLOOR * self.floor))
         if not rises.size:
             return np.inf
         return float(self.frequency[beyond][np.argmin(smooth[: rises[0]]) + width // 2])
@@ -144,5 +138,5 @@ class Spectrum:
         lines and not a floor, so `noise` may exceed the noise of the floor.
         """
         floor = self.floor * max(1.0, noise / max(self.noise, 1e-300)) ** 2
-        gained = np.cumsum(self.density - _CLEARLY * floor)
+        gained = np.cumsum(self.density - c.ABOVE_FLOOR * floor)
         return max(self.band[1], float(self.frequency[int(np.argmax(gained))]))

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion, beyond_noise
-from hil.signals.constants import ENOUGH, GAIN_ERROR, MOST, ROUNDING, SPREAD
+from hil.signals import constants as c
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
-from hil.signals.rate.low_pass import STOPPED, LowPass, is_sound, low_pass_for, passed, passing
+from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, widest
 from hil.signals.rate.spectrum import Spectrum
 from hil.signals.slow_channel import Readings, noise_beside_any_shape
@@ -21,22 +21,8 @@ from hil.signals.stamps import mean_step
 
 Array = NDArray[np.float64]
 
-_NOISE = 0.01  # of the rate's RMS: so much noise in it lowers Bc by 0.01 %
-RATE_ACCURACY = 0.5 * (GAIN_ERROR + _NOISE**2)  # of Bc: half of the most that both can change it by
-_HIDDEN = 0.3  # of the torque's own noise, that the rate's may add to it by way of Bc
-_UNSEEN = 0.5  # of that, where it follows from the motion: the tests of the fit see 2 % of the residuals' power
-_FELT = 0.05  # of the torque's own noise, that smoothing may take off the torque of an inertia
-_NARROWEST = 6  # samples on each side of a window
-_WIDEST = 250  # samples on each side of a window
-_OTHERS = (9, 12)  # samples on each side of windows, at most, beside which another shows where the rate is wrong
-_WIDER = (1, 3)  # samples more on each side of them than on each side of that other
+RATE_ACCURACY = 0.5 * (c.GAIN_ERROR + c.RATE_NOISE**2)  # of Bc: half of the most that both can change it by
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
-_SMOOTH = 0.6  # of the rate's power, that must be left where the samples beside a jerk are left out
-_PARTS = 20  # windows side by side for which a recording has room, so that few rows lie near its ends
-NARROWER = 0.8
-"""The ratio of a window's width to that of the next wider one that is tried."""
-
-_FOLLOWED = 0.27  # periods a sample, up to which fast motion is followed: friction turns where the rate does
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +124,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     noise.
     """
     step, count = float(np.median(np.diff(time))), smallest_step(dtheta)
-    rounding = ROUNDING * count
+    rounding = c.ROUNDING * count
     # counts round in step with slow motion: above, their noise is then less than below, or lines
     spectrum = Spectrum.of(time, dtheta, rounding)
     band, floor = spectrum.band, spectrum.noise
@@ -148,13 +134,13 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     acceleration = local_polynomial(time, dtheta, curvature, 2)
     # a window across a long gap has no slope, and stamps that are alike no noise
     known = np.isfinite(rate) & np.isfinite(left) & np.isfinite(acceleration)
-    some = np.flatnonzero(known)[:ENOUGH]
+    some = np.flatnonzero(known)[: c.ENOUGH]
     seen = Motion(time[some], dtheta[some], rate[some], acceleration[some], np.zeros(len(some)))
     of_torque = _own_noise(seen, torque[some], cell)
     hidden = _hidden(seen, torque[some], of_torque)
     read = Read(torque[some], seen.dtheta, seen.dtheta_dot, seen.dtheta_ddot, step)
     rate, left = rate[known], left[known]
-    fast = np.abs(rate) >= np.quantile(np.abs(rate), MOST)  # there wrong time stamps make noise too
+    fast = np.abs(rate) >= np.quantile(np.abs(rate), c.MOST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
     of_deflection = max(own_noise(min(noise, floor), read.dtheta, read.torque), rounding)
     slope = max(
@@ -162,26 +148,26 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
         narrowed(slope, step, of_deflection, hidden),
     )
-    first = time[:ENOUGH], dtheta[:ENOUGH]
+    first = time[: c.ENOUGH], dtheta[: c.ENOUGH]
     slope = best_of(slope, *first, of_deflection)
     curvature = best_of(curvature, *first, of_deflection, order=2)
     found = Window(
-        slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, _UNSEEN * hidden
+        slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, c.UNSEEN_ERROR * hidden
     )
     noisy = disturbs(read, found.of_deflection, found.of_deflection * _amplified(slope, step))
-    following = None if noisy else _following(found, *first, torque[:ENOUGH], of_torque)
+    following = None if noisy else _following(found, *first, torque[: c.ENOUGH], of_torque)
     if following is None and not noisy and cell is not None:
         # torque readings so far apart cannot pass the low-pass that the deflection would
-        following = _jumping(found, *first, torque[:ENOUGH], of_torque)
+        following = _jumping(found, *first, torque[: c.ENOUGH], of_torque)
     ripple = np.inf if cell else min(spectrum.ripple_begins, _ripple_of_torque(time, torque, spectrum.main))
     if following is not None and np.isinf(ripple):
         return following
     highest = spectrum.above(of_deflection)
     if np.isfinite(ripple):
-        highest = min(max(highest, band[1]), ripple / STOPPED)
+        highest = min(max(highest, band[1]), ripple / c.STOPPED)
     elif not noisy:  # what goes on beyond is taken from torque and deflection alike, also where sampling has folded it
-        highest = max(spectrum.band[1], min(highest, _FOLLOWED / step))
-    low_pass = low_pass_for(time, highest, min(slope, _NARROWEST))
+        highest = max(spectrum.band[1], min(highest, c.FOLLOWED / step))
+    low_pass = low_pass_for(time, highest, min(slope, c.NARROWEST))
     if low_pass is None:
         return found
     _, of_rate, of_acceleration = found.of_deflection * low_pass.amplification()
@@ -199,7 +185,7 @@ def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
     steps = np.diff(time)
     if steps.max() > 1.5 * float(np.median(steps)):
         return np.inf
-    return Spectrum.of(time, torque, GAIN_ERROR * float(np.std(torque))).rises_beyond(main)
+    return Spectrum.of(time, torque, c.GAIN_ERROR * float(np.std(torque))).rises_beyond(main)
 
 
 def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
@@ -208,7 +194,7 @@ def narrowed(slope: int, step: float, noise: float, allowed: float) -> int:
     step: time between two samples, s. noise: standard deviation of the deflection's noise, rad. A wide window removes
     details, such as the kinks where the joint sticks, and lowers Bc.
     """
-    while slope > _NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
+    while slope > c.NARROWEST and noise * _amplified(slope - 1, step) <= allowed:
         slope -= 1
     return slope
 
@@ -222,8 +208,8 @@ def best_of(half: int, time: Array, dtheta: Array, noise: float, *, order: int =
     """
     step = float(np.median(np.diff(time)))
     found, whole = local_polynomial(time, dtheta, half, order), _whole(time, half, step)
-    while half > _NARROWEST and whole.any():
-        less = max(_NARROWEST, int(NARROWER * half))
+    while half > c.NARROWEST and whole.any():
+        less = max(c.NARROWEST, int(c.NARROWER * half))
         narrower = local_polynomial(time, dtheta, less, order)
         more_noise = noise**2 * (_amplified(less, step, order) ** 2 - _amplified(half, step, order) ** 2)
         if float(np.mean((narrower - found)[whole] ** 2)) <= 2.0 * more_noise:
@@ -243,7 +229,7 @@ def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: fl
     apart = _differing(time, dtheta, narrow, _NARROW)
     jerky = replace(found, jerk=beyond_noise(apart, narrow))
     smooth = ~(apart > jerky.jerk)
-    if _power(narrow, smooth) < _SMOOTH * _power(narrow):
+    if _power(narrow, smooth) < c.SMOOTH_POWER * _power(narrow):
         return None
     away = smoothed_away(found.slope, time, dtheta, found.of_deflection, seen=smooth)
     return _jumping(jerky, time, dtheta, torque, own) if away <= found.unseen else None
@@ -265,9 +251,9 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: floa
     columns = np.stack([np.ones_like(rate), dtheta, rate, acceleration, np.sign(rate)], axis=1)
     # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
-    is_felt = float(inertia) * away > _FELT * own
+    is_felt = float(inertia) * away > c.FELT_INERTIA * own
     noise = found.of_deflection * _amplified(found.curvature, found.step, 2)
-    if is_felt and _power(rate, smooth) >= _SMOOTH * _power(rate):
+    if is_felt and _power(rate, smooth) >= c.SMOOTH_POWER * _power(rate):
         return replace(jumping, of_acceleration=noise)
     return replace(found, of_acceleration=float(np.hypot(noise, away)))
 
@@ -299,7 +285,7 @@ def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
 
 def hides_in_rate(rate: Array) -> float:
     """Return the standard deviation of noise, rad/s, that lowers the Bc computed from a rate (n,), rad/s, by 0.01 %."""
-    return _NOISE * float(np.sqrt(np.mean(rate**2)))
+    return c.RATE_NOISE * float(np.sqrt(np.mean(rate**2)))
 
 
 def _hidden(motion: Motion, torque: Array, own: float) -> float:
@@ -310,7 +296,7 @@ def _hidden(motion: Motion, torque: Array, own: float) -> float:
     """
     columns = np.stack([np.ones(len(motion)), motion.dtheta, motion.dtheta_dot], axis=1)
     damping = float(np.linalg.lstsq(columns, torque, rcond=None)[0][2])
-    return _HIDDEN * own / abs(damping) if damping else np.inf
+    return c.HIDDEN_NOISE * own / abs(damping) if damping else np.inf
 
 
 def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
@@ -322,15 +308,15 @@ def _own_noise(motion: Motion, torque: Array, cell: Readings | None) -> float:
         own = own_noise(float(np.nanmedian(_noise_of(motion.time, torque))), torque, motion.dtheta)
     else:
         own = noise_beside_any_shape(cell, motion)
-    return max(own, GAIN_ERROR * float(np.std(torque)))
+    return max(own, c.GAIN_ERROR * float(np.std(torque)))
 
 
 def _noise_of(time: Array, values: Array) -> Array:
     """Return the distance (n,) of values from a narrow local polynomial, scaled so that its median is the noise's
     standard deviation.
     """
-    left = np.abs(values - local_polynomial(time, values, _NARROWEST, 0))
-    return np.asarray(left * (SPREAD / np.sqrt(1.0 - float(kernel(_NARROWEST, 0)[_NARROWEST]))))
+    left = np.abs(values - local_polynomial(time, values, c.NARROWEST, 0))
+    return np.asarray(left * (c.SPREAD / np.sqrt(1.0 - float(kernel(c.NARROWEST, 0)[c.NARROWEST]))))
 
 
 def _amplified(half: int, step: float, order: int = 1) -> float:
@@ -345,8 +331,8 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
     side.
     """
     cycles = highest * mean_step(time)
-    most = min(_WIDEST, (len(time) - 1) // _PARTS)
-    slope, curvature = (widest(order, cycles, most, GAIN_ERROR) for order in (1, 2))
+    most = min(c.WIDEST, (len(time) - 1) // c.WINDOWS)
+    slope, curvature = (widest(order, cycles, most, c.GAIN_ERROR) for order in (1, 2))
     return slope, min(slope, curvature)
 
 
@@ -369,8 +355,8 @@ def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
     """
     seen, rows = motion.whole
     # a low-pass that takes noise out blurs a jump as far as wide windows reach
-    half, unseen = (window.slope, window.unseen) if window and not window.noisy else (_OTHERS[0], 0.0)
-    others = tuple(min(half + more, most) for more, most in zip(_WIDER, _OTHERS, strict=True))
+    half, unseen = (window.slope, window.unseen) if window and not window.noisy else (c.OTHER_WINDOWS[0], 0.0)
+    others = tuple(min(half + more, most) for more, most in zip(c.OTHER_WIDER, c.OTHER_WINDOWS, strict=True))
     if len(seen) <= 2 * max(others):
         return np.ones(len(motion), dtype=bool)
     apart = _differing(seen.time, seen.dtheta, seen.dtheta_dot, others)

@@ -9,23 +9,19 @@ is changed if the correction is small beside the intervals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import FEWEST
-from hil.signals.deflection_noise import FEW_COUNTS
+from hil.signals.constants import FEWEST, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND, WHITE_COUNTS
 from hil.uncertainty.deflection.fitted import Fitted, sampled
 from hil.uncertainty.deflection.instruments import by_command
 from hil.uncertainty.deflection.rounding import rounded_at_rest
 from hil.uncertainty.deflection.simulation import is_in_step, simulated_change
-from hil.uncertainty.scores import SHORTEST
 
 Array = NDArray[np.float64]
 
-_NOTHING: Final = 2e-5  # of the power of deflection and rate, below which their errors are not looked at
-_WEAK: Final = 0.25  # of the information without instruments, below which they are too weak
 
 Method = Literal["none", "simulation", "instruments"]
 
@@ -54,7 +50,7 @@ class DeflectionErrors:
     @property
     def is_weak(self) -> bool:
         """Return whether there is a command, but the motion does not follow it."""
-        return self.strength is not None and self.strength < _WEAK
+        return self.strength is not None and self.strength < WEAK_COMMAND
 
 
 def deflection_errors(fitted: Fitted) -> DeflectionErrors:
@@ -65,15 +61,15 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     sound = window.sound(sampled(part.motion).time)[part.motion.whole[1]] & part.used
     rounded = rounded_at_rest(part, sound)
     found = DeflectionErrors(window.of_deflection, counts, low_pass, "none", nothing, rounded, nothing)
-    if np.count_nonzero(sound) < FEWEST * SHORTEST or not _disturbed(part):
+    if np.count_nonzero(sound) < FEWEST * SHORTEST_BLOCK or not _disturbed(part):
         return found
     simulated, spread = simulated_change(part, sound)
-    if counts < FEW_COUNTS or (window.count and is_in_step(part, sound, spread)):
+    if counts < WHITE_COUNTS or (window.count and is_in_step(part, sound, spread)):
         rounded = np.maximum(rounded, spread)
     found = replace(found, predicted=simulated.values, half_width=rounded)
     instruments = by_command(part, sound)
     # noise that is not white is more than its floor says, which only the command shows
-    is_shown = instruments is not None and instruments[1] >= _WEAK and fitted.shows(instruments[0])
+    is_shown = instruments is not None and instruments[1] >= WEAK_COMMAND and fitted.shows(instruments[0])
     if not fitted.matters(simulated.values) and not is_shown:
         return found
     if instruments is not None:
@@ -95,4 +91,4 @@ def _disturbed(part: Fitted) -> bool:
         (passed * window.of_deflection) ** 2 / max(float(np.var(motion.dtheta)), 1e-300),
         window.noise**2 / max(float(np.var(motion.dtheta_dot)), 1e-300),
     )
-    return max(shares) > _NOTHING
+    return max(shares) > NO_ERROR

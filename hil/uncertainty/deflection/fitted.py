@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
-from hil.signals.constants import CLIPPED, NORMAL, SPREAD, SURE, TESTED
+from hil.signals.constants import CLIPPED, CORRECTED, NORMAL, SPREAD, SURE, TESTED
 from hil.signals.rate.windows import Window
 
 Array = NDArray[np.float64]
-
-_MATTERS: Final = 0.1  # of half an interval, from which a change is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +63,7 @@ class Fitted:
         made.
         """
         at = list(self.decisive)
-        return bool((np.abs(change[at]) > _MATTERS * self.half_width[at]).any())
+        return bool((np.abs(change[at]) > CORRECTED * self.half_width[at]).any())
 
     def shows(self, change: Change) -> bool:
         """Return whether a change of the parameters is large enough to be made, and larger than its own error (Hausman

@@ -8,21 +8,18 @@ instruments increase the uncertainty of the parameters.
 
 from __future__ import annotations
 
-from typing import Final, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.constants import BLOCKS, NORMAL
+from hil.signals.constants import BLOCKS, DELAYS, NORMAL
 from hil.signals.rate.windows import Window
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
 from hil.uncertainty.effects import Recorded
 
 Array = NDArray[np.float64]
-
-_DELAYS: Final = (-1, 0, 1, *(part * 2**octave for octave in range(4) for part in (2, 3)))
-"""The delays of the filter from command to motion, in eighths of a period: two an octave."""
 
 
 def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] | None:
@@ -61,7 +58,7 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     unit = 1.0 / (8.0 * window.band[1])
     recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
     parts = behind(window, motion, command - command.mean())
-    value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in _DELAYS], axis=1) for one in parts)
+    value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in DELAYS], axis=1) for one in parts)
     value = value - value[sound].mean(axis=0)
     middle = float(motion.dtheta[sound].mean())
     weights = np.linalg.lstsq(value[sound], motion.dtheta[sound] - middle, rcond=1e-9)[0]

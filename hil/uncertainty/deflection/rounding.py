@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from hil.signals.constants import NORMAL, ROUNDING
+from hil.signals.constants import NORMAL, RESTS, ROUNDING, STILL, WITHIN
 from hil.uncertainty.deflection.fitted import Fitted, moved
 
 Array = NDArray[np.float64]
-
-_STILL: Final = 0.1  # of a count, by which readings behind a low-pass differ at most where the joint rests
-_WITHIN: Final = 0.25  # of a count, by which the torque of the model differs at most among like ones in a row
-_RESTS: Final = 10  # like readings in a row, from which it rests
 
 
 def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
@@ -28,7 +22,7 @@ def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
     motion, count = part.motion, part.window.count
     columns, left = part.linearised(motion)
     torque = part.torque - left
-    at_rest = _is_still(motion.dtheta, _STILL * count), _is_within(torque, _WITHIN * part.torque_count)
+    at_rest = _is_still(motion.dtheta, STILL * count), _is_within(torque, WITHIN * part.torque_count)
     found = np.zeros(len(part.half_width))
     for still, values, step in zip(at_rest, (motion.dtheta, torque), (count, part.torque_count), strict=True):
         rows = still & sound
@@ -65,14 +59,14 @@ def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
     """
     alike = np.concatenate([[False], np.abs(np.diff(dtheta)) < most])
     run = np.cumsum(~alike)  # the number of the run of like readings that each is in
-    return np.asarray(np.bincount(run)[run] >= _RESTS)
+    return np.asarray(np.bincount(run)[run] >= RESTS)
 
 
 def _is_within(values: Array, most: float) -> NDArray[np.bool_]:
     """Return whether each value (n,) belongs to several consecutive values that differ by less than `most`."""
     found = np.zeros(len(values), dtype=bool)
-    if len(values) >= _RESTS:
-        first = np.flatnonzero(np.ptp(sliding_window_view(values, _RESTS), axis=1) < most)
-        for later in range(_RESTS):
+    if len(values) >= RESTS:
+        first = np.flatnonzero(np.ptp(sliding_window_view(values, RESTS), axis=1) < most)
+        for later in range(RESTS):
             found[first + later] = True
     return found

@@ -8,22 +8,17 @@ the same errors once more is subtracted from the parameters (Cook and Stefanski 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.signals.constants import NORMAL, ROUNDING
+from hil.signals.constants import ERROR_LEVEL, IN_STEP, NARROWER, NORMAL, PAIRS, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
-from hil.signals.rate.windows import NARROWER, Window, is_smooth
+from hil.signals.rate.windows import Window, is_smooth
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
 
 Array = NDArray[np.float64]
-
-_PAIRS: Final = 4  # of simulated errors, of either sign
-_LEVEL: Final = 0.3  # of a simulated change, half the interval of its size: the errors' level is not known better
-_IN_STEP: Final = 2.5  # times their scatter in any other order, from which roundings go with the motion
 
 
 def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
@@ -35,8 +30,8 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
     added = _added(part, sound, _errors(sampled(part.motion), part.window))
     means = added.mean(axis=1)  # of either sign: what errors add on average is what both have in common
     change = -means.mean(axis=0)
-    error = np.std(means, axis=0, ddof=1) / np.sqrt(_PAIRS)
-    return Change(change, np.hypot(_LEVEL * change, NORMAL * error)), _scatter(added)
+    error = np.std(means, axis=0, ddof=1) / np.sqrt(PAIRS)
+    return Change(change, np.hypot(ERROR_LEVEL * change, NORMAL * error)), _scatter(added)
 
 
 def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
@@ -47,7 +42,7 @@ def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
     rng = np.random.default_rng(1)
     shuffled = _added(part, sound, (rng.permutation(one) for one in _errors(sampled(part.motion), part.window)))
     at = list(part.decisive)
-    return bool((spread[at] > _IN_STEP * _scatter(shuffled)[at]).any())
+    return bool((spread[at] > IN_STEP * _scatter(shuffled)[at]).any())
 
 
 def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
@@ -109,7 +104,7 @@ def _errors(motion: Motion, window: Window) -> Iterator[Array]:
             fit = local_polynomial(motion.time[part], motion.dtheta[part], window.slope, 0)
             smooth[part] = np.where(np.isfinite(fit), fit, motion.dtheta[part])
     beside = np.sqrt(max(0.0, window.of_deflection**2 - (ROUNDING * count) ** 2))
-    for _ in range(_PAIRS):
+    for _ in range(PAIRS):
         noise = beside * rng.standard_normal(len(motion))
         if count > 0.0:
             # where the motion turns within a count decides how the rounding goes with it, and is not known

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from hil.signals.rate.savitzky_golay import DEGREE, gain, kernel, local_polynomial, widest
+from hil.signals.constants import DEGREE
+from hil.signals.rate.savitzky_golay import gain, kernel, local_polynomial, widest
 
 Array = NDArray[np.float64]
 
