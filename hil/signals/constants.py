@@ -300,4 +300,5 @@ OF_NOISE = 0.5  # of what is predicted: if errors explain less, there is another
 DOUBLED_ERRORS = 1.5  # times its own power, that doubled errors of the motion add to the prediction
 NOT_OF_NOISE = 0.05  # of what is predicted, up to which errors of the motion explain almost nothing
 SCATTER = 2.0  # standard deviations, by which simulated errors may leave more than on average
+REPEATED_ROUNDING = 0.25  # of the power that errors add, above which its scatter is that of rounding that repeats
 OTHER_JOINT = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint

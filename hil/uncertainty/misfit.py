@@ -63,7 +63,8 @@ class LackOfFit:
 
     share: the fraction of the residuals' power that is predicted in unseen blocks. predicted: the predicted torque, N m
     r.m.s. unexplained: the same torque relative to the torque's standard deviation. of_noise: whether noise of the
-    deflection explains the prediction. Kc, Bc: the size of the misfit, relative:
+    deflection explains the prediction. in_step: whether noise explains the prediction only because rounding repeats
+    with the motion; the size of the misfit is then included in the intervals. Kc, Bc: the size of the misfit, relative:
     the largest change by a suspect, or half the difference between parts; without either, the change that would give
     the predicted torque. outside: those of the names Kc and Bc that this change takes out of their interval. at_zero:
     half the intervals of Kc and Bc, SI, if their values are zero, because changes are then relative to these; else 0.
@@ -86,22 +87,28 @@ class LackOfFit:
     predicted: float = 0.0
     unexplained: float = 0.0
     of_noise: bool = False
+    in_step: bool = False
     at_zero: tuple[float, float] = (0.0, 0.0)
     at_jumps: Lacking | None = None
 
-    def beside_noise(self, added: Array) -> LackOfFit:
+    def beside_noise(self, added: Array, *, counted: bool = False) -> LackOfFit:
         """Return the result with `of_noise` set, from the growth of the prediction when the errors of the motion
         double.
 
         added (k,): the growth of the predicted power, (N m)^2, in k simulations. If the model is wrong, the prediction
         does not grow; if errors of the motion cause it, it does (Cook and Stefanski 1994). If the motion rests or
-        repeats, the growth scatters. The scatter is allowed for, unless Kc or Bc would be clearly wrong.
+        repeats, the growth scatters. The scatter is allowed for, unless Kc or Bc would be clearly wrong. Even then it
+        is allowed for if the errors are rounding to counts (`counted`) that adds far more power at one position in the
+        encoder's grid than at another.
         """
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
         mean, scatter = float(added.mean()), float(added.std(ddof=1))
         doubt = 0.0 if self._grave else c.SCATTER * scatter
-        return replace(self, of_noise=self._is_explained(mean + doubt))
+        if self._is_explained(mean + doubt):
+            return replace(self, of_noise=True)
+        in_step = counted and scatter > c.REPEATED_ROUNDING * mean and self._is_explained(mean + c.SCATTER * scatter)
+        return replace(self, of_noise=in_step, in_step=in_step)
 
     def _is_explained(self, added: float) -> bool:
         """Return whether errors of the motion explain the prediction. added: the power, (N m)^2, that they add when
@@ -197,7 +204,7 @@ class LackOfFit:
     @property
     def in_intervals(self) -> tuple[float, float]:
         """Return the relative amounts by which the intervals of Kc and Bc grow because of the misfit."""
-        return (self.Kc, self.Bc) if self.misfit or self._is_small or self._is_vague else (0.0, 0.0)
+        return (self.Kc, self.Bc) if self.misfit or self.in_step or self._is_small or self._is_vague else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:

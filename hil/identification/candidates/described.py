@@ -121,7 +121,7 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
         added.append(float(np.mean([_added(described, before, one) for one in pair])))
         if len(added) == _ENOUGH and found.is_far_beyond_noise(max(added)):
             return found
-    return found.beside_noise(np.array(added))
+    return found.beside_noise(np.array(added), counted=signals.window.count > 0.0)
 
 
 def tested_motion(described: Described) -> float:

@@ -181,6 +181,21 @@ def test_errors_that_explain_a_misfit_only_by_chance_excuse_none_that_would_move
     assert not replace(found, Kc=2e-3, Bc=0.02).beside_noise(scattered).misfit
 
 
+def test_roundings_that_repeat_excuse_such_a_misfit_and_its_size_is_in_the_intervals() -> None:
+    found = judged(relaxed(0.2, 0.03) + PLAIN + noise(0))
+    scattered, even = (found.predicted**2 * np.array(parts) for parts in ([0.5, 1.0, 1.6, 2.1], [1.2, 1.3, 1.3, 1.4]))
+
+    excused = found.beside_noise(scattered, counted=True)
+    assert found.is_grave
+    assert not excused.misfit
+    assert excused.in_intervals == (found.Kc, found.Bc)
+    assert found.beside_noise(0.2 * scattered, counted=True).misfit
+    assert found.beside_noise(even, counted=True).misfit  # these errors add as much in any place: they do not repeat
+    explained = found.beside_noise(1.5 * even, counted=True)
+    assert not explained.misfit
+    assert explained.in_intervals == (0.0, 0.0)
+
+
 def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these() -> None:
     errors = np.random.default_rng(3).standard_normal((2, len(TIME))) * 1e-3
     recorded = Recorded(TIME, PLAIN, X + errors.sum(axis=0), V)
