@@ -120,7 +120,7 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
     if not found.stamps or (found.joint is None and kind == JOINT_STATE):
         asked = "name the joint with --joint" if joint is None else f"{topic} has no joint {joint!r}"
         raise WrongUse(f"{source}: {asked}; it has {listed(found.joints)}")
-    numbers = {name: nested.plain(values) for name, values in found.values.items()}
+    numbers = found.values
     if kind == SAMPLE:
         return {heading(name): values for name, values in numbers.items() if name in CHANNELS}
     if found.joint is not None:  # an interface of ros2_control is in SI as a joint state is

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.recording.interval import seconds
 
 Names = Mapping[int, tuple[str, ...]]  # the names beside values, by their number
 
@@ -34,13 +35,13 @@ class Value(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """The values in rows. read: the number of rows. stamps: of those with values, ns. values: the columns by path, (n,)
-    each. joint: the name left out of the paths. joints: the outermost names in all paths.
+    """The values in rows. read: the number of rows. stamps: of those with values, ns. values: the columns by heading,
+    (n,) each. joint: the name left out of the paths. joints: the outermost names in all paths.
     """
 
     read: int
     stamps: Sequence[int]
-    values: dict[str, Sequence[Any]]
+    values: dict[str, NDArray[Any]]
     joint: str | None
     joints: list[str]
 
@@ -76,7 +77,7 @@ def columns(
         column.extend([math.nan] * (len(stamps) - len(column)))
     joint = next(iter(joints)) if joint is None and alone and len(joints) == 1 else joint
     paths = list(map(written, kept)) if joint is None else _without(joint, list(kept))
-    return Columns(read, stamps, dict(zip(paths, kept.values(), strict=True)), joint, list(joints))
+    return Columns(read, stamps, dict(map(_column, paths, kept.values())), joint, list(joints))
 
 
 def written(path: Sequence[str]) -> str:
@@ -151,8 +152,14 @@ def _own_names(values: Any) -> tuple[str, ...]:
     return ()
 
 
-def plain(values: Sequence[Any]) -> NDArray[Any]:
-    """Return a column (n,) of numbers, or else of texts."""
+def _column(path: str, values: Sequence[Any]) -> tuple[str, NDArray[Any]]:
+    """Return the heading of a column and its values (n,): numbers; dates and times, also as text in ISO 8601, in s; or
+    else texts.
+    """
     if isinstance(values, array):
-        return np.array(values)
-    return np.array(["" if one is None or one != one else str(one) for one in values])  # noqa: PLR0124 - NaN
+        return path, np.array(values)
+    first = next((one for one in values if not isinstance(one, float)), None)
+    if seconds(first) is not None:
+        stamps = map(seconds, values)
+        return f"{path} [s]", np.array([math.nan if one is None else one for one in stamps])
+    return path, np.array(["" if one is None or one != one else str(one) for one in values])  # noqa: PLR0124 - NaN

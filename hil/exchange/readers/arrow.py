@@ -10,7 +10,7 @@ from typing import Any
 
 from hil.errors import WrongUse
 from hil.exchange.nested import columns
-from hil.exchange.readers.columns import Columns, from_values, titled
+from hil.exchange.readers.columns import Columns, loaded, titled
 
 _PARQUET = b"PAR1"
 _LOOKED = 1000  # rows that show which values lie in a column
@@ -47,7 +47,7 @@ def read(source: Path) -> Columns:
 
     @cache
     def inner(rows: int | None) -> Columns:
-        return from_values(columns(str(source), enumerate(load(nested).slice(0, rows).to_pylist())).values)
+        return loaded(columns(str(source), enumerate(load(nested).slice(0, rows).to_pylist())).values)
 
     names = inner(_LOOKED) if nested else {}
     return flat | {name: partial(lambda name: inner(None)[name](), name) for name in names}

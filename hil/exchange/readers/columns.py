@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.exchange.nested import Names, plain
-from hil.recording.interval import seconds
+from hil.exchange.nested import Names
 
 Array = NDArray[np.float64]
 Index = tuple[int | slice, ...]
@@ -67,21 +66,9 @@ def at(values: Any, index: Index) -> Any:
     return values[index].ravel()
 
 
-def from_values(named: Mapping[str, Sequence[Any]]) -> Columns:
-    """Return columns of Python's values; dates and times, also as text in ISO 8601, in s."""
-    found: dict[str, Callable[[], Any]] = {}
-    for name, values in named.items():
-        first = next((one for one in values if not isinstance(one, float)), None)
-        if seconds(first) is not None:
-            found[f"{name} [s]"] = partial(_stamps, values)
-        else:
-            found[name] = partial(plain, values)
-    return found
-
-
-def _stamps(values: Sequence[Any]) -> Array:
-    found = (seconds(one) for one in values)
-    return np.array([math.nan if one is None else one for one in found])
+def loaded(named: Mapping[str, Any]) -> Columns:
+    """Return columns that are in memory already. named: by heading, (n,) each."""
+    return {name: partial(np.asarray, values) for name, values in named.items()}
 
 
 def numbers(values: Any) -> Array | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 
 from hil.errors import WrongUse
 from hil.exchange.nested import columns, names_of, written
-from hil.exchange.readers.columns import Columns, from_values
+from hil.exchange.readers.columns import Columns, loaded
 
 
 def read(source: Path) -> Columns:
@@ -21,7 +20,7 @@ def read(source: Path) -> Columns:
     """
     text = source.read_text(encoding="utf-8-sig")
     try:
-        return from_values(_of_document("", json.loads(text)))
+        return loaded(_of_document("", json.loads(text)))
     except json.JSONDecodeError:
         lines = [(at, line) for at, line in enumerate(text.splitlines(), start=1) if line.strip()]
     rows: list[Any] = []
@@ -33,10 +32,10 @@ def read(source: Path) -> Columns:
                 break  # the power was lost while it was written
             what = f"this is not JSON ({error.msg}): mend the line, or delete it"
             raise WrongUse(f"{source}, line {at}: {what}") from None
-    return from_values(columns("JSON", enumerate(rows)).values)
+    return loaded(columns("JSON", enumerate(rows)).values)
 
 
-def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Sequence[Any]]:
+def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Any]:
     """Return the columns in one JSON value: a list of numbers is a column, a list of objects or lists a table."""
     if isinstance(value, dict):
         names = {**(beside or {}), **names_of(value.values())}

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import chain, islice
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -137,26 +138,20 @@ def _headings(
     delimiter, fields, rows = shape
     texts = [at for at, line in enumerate(lines) if line.strip() and at not in set(rows)]
     nearest = [at for at in reversed(texts) if at < rows[0]] + [at for at in texts if at > rows[0]]
-    splits = [
-        (at, names, fits, mark.strip(" "))
-        for at in nearest
-        for names, fits, mark in _splits(lines[at], delimiter, fields)
-    ]
-    choices = [
-        [one for one in splits if one[2] and wanted and _has(one[1], wanted)],
-        [one for one in splits if one[3] and wanted and _has(one[1], wanted)],
-        [one for one in splits if one[2] and not any(_units(one[1], len(one[1])))],
-        [one for one in splits if one[2]],
-        [one for one in splits if len(one[1]) > 1 and one[0] < rows[0] and not COMMENT.match(lines[one[0]])],
-    ]
-    chosen = next((found[0] for found in choices if found), None)
-    first = next((row for row in rows if chosen and row > chosen[0]), None)
-    if chosen is None or first is None:
+    choices = []
+    for at in nearest:
+        is_above = at < rows[0] and not COMMENT.match(lines[at])
+        for names, fits, mark in _splits(lines[at], delimiter, fields):
+            has = bool(wanted) and (fits or mark.strip(" ") != "") and _has(names, wanted)
+            if has or fits or (is_above and len(names) > 1):
+                choices.append(((not has, not fits, fits and any(_units(names, len(names)))), at, names, fits))
+    _, at, names, fits = min(choices, key=itemgetter(0), default=(None, len(lines), [], False))
+    first = next((row for row in rows if row > at), None)
+    if first is None:
         raise WrongUse(
             f"{source} has no headings: no names stand above its numbers. Write a line above them with the "
             f"names and units of its {fields} columns, such as {_example(fields, delimiter)!r}"
         )
-    at, names, fits, _ = chosen
     return first, names[:fields] if fits else names, at
 
 
