@@ -225,27 +225,27 @@ def check_samples(samples: h5py.Group, path: Path) -> tuple[int, frozenset[str]]
     WrongUse as well if the file declares more data than its size can contain, which would fill memory or disk.
     """
     later = frozenset(name for name in LATER if name not in samples)
-    names = [name for name in CHANNELS if name not in later]
-    absent = [name for name in names if not isinstance(samples.get(name), h5py.Dataset)]
+    columns = {name: samples.get(name) for name in CHANNELS if name not in later}
+    absent = [name for name, column in columns.items() if not isinstance(column, h5py.Dataset)]
     if absent:
         raise WrongUse(f"{path}: /samples lacks {', '.join(absent)}: it is not a complete recording")
-    for name in names:
-        if samples[name].ndim != 1 or samples[name].dtype.kind not in "fiu":
+    for name, column in columns.items():
+        if column.ndim != 1 or column.dtype.kind not in "fiu":
             raise WrongUse(f"{path}: /samples/{name} is not one column of numbers")
-    lengths = {name: len(samples[name]) for name in names}
+    lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         odd = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise WrongUse(f"{path}: channels of unequal length ({odd}): the file was not written completely")
-    _check_size(samples, lengths["time"], path)
+    _check_size(columns, lengths["time"], path)
     return lengths["time"], later
 
 
-def _check_size(samples: h5py.Group, rows: int, path: Path) -> None:
+def _check_size(columns: Mapping[str, h5py.Dataset], rows: int, path: Path) -> None:
     stored = path.stat().st_size
     if rows * ROW.itemsize > max(_SMALL, _COMPRESSION * stored):
         raise WrongUse(f"{path} declares {rows} rows in {stored} bytes, which no recording does: use another copy")
-    for name in samples:
-        chunk = math.prod(samples[name].chunks or ()) * samples[name].dtype.itemsize
+    for name, column in columns.items():
+        chunk = math.prod(column.chunks or ()) * column.dtype.itemsize
         if chunk > _SMALL:
             raise WrongUse(f"{path}: /samples/{name} has chunks of {chunk} bytes: no recording of hil has such")
 

@@ -214,14 +214,10 @@ def test_a_folder_is_closed_to_others_whatever_the_umask_allows(package: Path, t
     assert {folder.stat().st_mode & 0o777 for folder in (tmp_path / "cache").rglob("joint-*")} == {0o700}
 
 
-@pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc"])
-def test_a_file_of_the_cache_that_is_empty_cut_or_zeros_is_replaced(
-    package: Path, tmp_path: Path, pattern: str
-) -> None:
+def test_a_file_of_the_cache_that_is_empty_cut_or_zeros_is_replaced(package: Path, tmp_path: Path) -> None:
     ask(package, tmp_path)
-    whole = {file: file.read_bytes() for file in tmp_path.rglob(pattern)}
-    for part, filling in ((0.0, 0), (0.5, 0), (0.0, 1)):
-        for file, data in whole.items():
+    for pattern, part, filling in (("*.nbi", 0.0, 0), ("*.nbi", 0.5, 0), ("*.nbc", 0.5, 0), ("*.nbc", 0.0, 1)):
+        for file, data in {file: file.read_bytes() for file in tmp_path.rglob(pattern)}.items():
             file.write_bytes(data[: int(part * len(data))] + filling * bytes(len(data)))
         assert ask(package, tmp_path)[0] == 2.0
     assert ask(package, tmp_path) == (2.0, True)

@@ -188,7 +188,7 @@ def test_results_show_the_answer_first_and_draw_and_write_themselves(make_record
 def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Maker) -> None:
     loaded = api.load(make_recording(noise=2e-4, samples=600))
     of_file = api.identify(loaded, "linear", trials=1)
-    torque = pint.UnitRegistry().Quantity(1e3 * loaded["torque"], "mN*m")
+    torque = pint.Quantity(1e3 * loaded["torque"], "mN*m")
     arrays = {"time": loaded["time"].tolist(), "dtheta": loaded["dtheta"], "dtheta_dot": loaded["dtheta_dot"]}
     found = api.identify(model="linear", trials=1, torque=torque, **arrays)
     assert found["Kc"].value == pytest.approx(of_file["Kc"].value, rel=1e-9)

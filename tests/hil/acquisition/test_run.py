@@ -192,19 +192,20 @@ class Saboteur:
 
 
 @pytest.mark.parametrize(
-    ("error", "after"),
+    ("error", "after", "step"),
     [
-        pytest.param(KeyboardInterrupt(), False, id="Ctrl-C"),
-        pytest.param(OSError(errno.ENOSPC, "No space left on device"), True, id="disk full", marks=pytest.mark.study),
+        pytest.param(KeyboardInterrupt(), False, 4, id="Ctrl-C"),
+        pytest.param(KeyboardInterrupt(), False, 1, id="Ctrl-C everywhere", marks=pytest.mark.study),
+        pytest.param(OSError(errno.ENOSPC, "the disk is full"), True, 1, id="disk full", marks=pytest.mark.study),
     ],
 )
 def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, after: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, after: bool, step: int
 ) -> None:
     monkeypatch.setattr(recorder, "_REST_SAMPLES", 2)
     monkeypatch.setattr(writer_module, "_software", dict)  # these two are most of the time a run takes
     monkeypatch.setattr(os, "fsync", lambda _: None)
-    for at in count(1):
+    for at in count(1, step):
         servo, saboteur = SpringServo(), Saboteur(error, at, after=after)
         output = tmp_path / f"{at}.h5"
         kept: Path | None = None
