@@ -97,6 +97,8 @@ def in_use(link: str, pid: int) -> DriverError:
         words = Path(f"/proc/{pid}/cmdline").read_bytes().decode("utf-8", "replace").split("\0")
     except OSError:
         return DriverError(f"{link} is in use: {means}; another program has it open: close that first")
+    if "-c" in words[:-2]:  # the program's words name it better than its code
+        words[1 : words.index("-c") + 2] = []
     words[:2] = [word.rpartition("/")[2] for word in words[:2]]  # the interpreter and the program
     command = "".join(one if one.isprintable() else "?" for one in " ".join(words).strip()[:_COMMAND])
     return DriverError(

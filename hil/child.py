@@ -10,7 +10,7 @@ from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[1]
 _START = (
-    "import os, runpy, sys; _, path, module, *words = sys.argv; sys.path[:] = path.split(os.pathsep); "
+    "import os, runpy, sys; _, module, *words, path = sys.argv; sys.path[:] = path.split(os.pathsep); "
     "sys.argv = [module, *words]; runpy.run_module(module, run_name='__main__', alter_sys=True)"
 )
 
@@ -20,9 +20,9 @@ def command(module: str, *words: str) -> list[str]:
 
     `python -m` searches the working directory first, and would run any `h5py.py` in that directory. The new process
     searches the absolute folders of this process's search path, in the same order. The working directory is not
-    searched, unless hil itself is there.
+    searched, unless hil itself is there. The search path is the last word, so that `ps` shows the command first.
     """
-    return [sys.executable, "-I", "-c", _START, os.pathsep.join(_search_path()), module, *words]
+    return [sys.executable, "-I", "-c", _START, module, *words, os.pathsep.join(_search_path())]
 
 
 def shared_memory(size: int) -> int:

@@ -369,6 +369,30 @@ def test_a_drive_that_is_unplugged_ends_the_run_with_its_reason(opened: Opened, 
         assert page.get_attribute("body", "data-moving") == "no"
 
 
+def test_a_second_studio_on_the_same_stand_is_refused_with_the_first_ones_run(opened: Opened, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    with emulated(tmp_path) as stand, studio(tmp_path) as (link, _), studio(other) as (second, _):
+        shutil.copy(stand, other)
+        page = opened(link)
+        page.get_by_label("an emulated finger").check()
+        page.click("#to-record")
+        begin(page)
+        page.click("#yes")
+        wait_for_rows(page)
+        rival = opened(second)
+        rival.get_by_label("an emulated finger").check()
+        rival.click("#to-record")
+        begin(rival)
+        rival.click("#yes")
+        said = rival.locator("#said .error", has_text="in use by process").inner_text()
+        assert re.search(r"in use by process \d+ \(python\S* hil record --stand=finger.toml ", said)
+        assert rival.get_attribute("body", "data-moving") == "no"
+        assert page.get_attribute("body", "data-moving") == "yes"
+        page.keyboard.press("Space")
+        assert stopped(page) > 90.0
+
+
 def test_two_recordings_lie_over_each_other_and_a_window_is_dragged(opened: Opened, tmp_path: Path) -> None:
     for name in ("one", "two"):
         words = [*HIL, "record", "--backend", "sim", "--duration", "4", "--seed", str(len(name)), "-o", f"{name}.h5"]
