@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import os
 import re
 import struct
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ _HEAD: Final = 4096  # bytes of a report that hold its title
 _TITLE: Final = re.compile(r"<title>[^<]*?: ([^<]*)</title>")
 _STANDS: Final = 50  # files that are read
 _PAGE: Final = 50  # recordings in one answer
-_SUFFIXES: Final = frozenset({".h5", ".hdf5", ".part"})
+_SUFFIXES: Final = (".h5", ".hdf5", ".part")
 
 
 class Folder:
@@ -64,26 +65,22 @@ class Folder:
         wanted: a text that the name contains, "" for all. Only those of the page are looked at, so that 10,000 of them
         cost no more than their names and dates.
         """
-        dated = []
-        for path in self._recordings():
-            name = path.relative_to(self.place).as_posix()
-            if wanted.casefold() in name.casefold():
-                with suppress(OSError):  # removed since
-                    dated.append((path.stat().st_mtime, name))
-        dated.sort(reverse=True)
+        dated = sorted((one for one in self._dated(_SUFFIXES) if wanted.casefold() in one[1].casefold()), reverse=True)
         return [self._entry(name, changed) for changed, name in dated[first : first + _PAGE]], len(dated)
 
-    def _recordings(self) -> Iterator[Path]:
-        for folder in (self.place, *(one for one in self.place.iterdir() if one.is_dir() and one.name[0] != ".")):
+    def _dated(self, suffixes: tuple[str, ...]) -> Iterator[tuple[float, str]]:
+        """Yield date and name of each recording here and in the folders here."""
+        inner = (f"{one.name}/" for one in os.scandir(self.place) if one.is_dir() and one.name[0] != ".")
+        for folder in ("", *inner):
             with suppress(OSError):
-                yield from (path for path in folder.iterdir() if path.suffix in _SUFFIXES and path.name[0] != ".")
+                for one in os.scandir(self.place / folder):
+                    if one.name.endswith(suffixes) and one.name[0] != "." and one.name.isprintable():
+                        with suppress(OSError):  # removed since
+                            yield one.stat().st_mtime, folder + one.name
 
     def parts(self) -> list[Path]:
         """Return the recordings that have not ended, newest first."""
-        with suppress(OSError):
-            found = [(path.stat().st_mtime, path) for path in self._recordings() if path.suffix == ".part"]
-            return [path for _, path in sorted(found, reverse=True)]
-        return []
+        return [self.place / name for _, name in sorted(self._dated((".part",)), reverse=True)]
 
     def _entry(self, name: str, changed: float) -> dict[str, Any]:
         page = (self.place / name).with_suffix(".html")

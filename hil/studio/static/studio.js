@@ -13,7 +13,7 @@
   };
   let table = { stands: [], recordings: [], profiles: {} }, first = 0;
   let job = null, starting = false, store = null, drawing = 0, pressed = 0, link = null, lost = false, agree = null;
-  let finished = -1, output = "", predicting = 0, timer = 0, traced = "", began = 0;
+  let finished = -1, output = "", predicting = 0, timer = 0, traced = "", listed = "", began = 0;
 
   // ---- small things
   function make(kind, text, more) {
@@ -110,8 +110,8 @@
   }
 
   function showRecordings() {
-    const kept = chosen();
-    at("recordings").replaceChildren(...table.recordings.map((one) => {
+    const kept = chosen(), entries = JSON.stringify(table.recordings);
+    if (entries !== listed) at("recordings").replaceChildren(...table.recordings.map((one) => {  // else a click or the focus would be lost
       const row = make("tr"), label = make("label"), report = make("td");
       label.append(make("input", undefined, { type: "checkbox", value: one.file, checked: kept.includes(one.file), ariaLabel: `choose ${one.file}` }));
       if (one.report) report.append(make("button", "Show", { type: "button", ariaLabel: `show the report of ${one.file}`, onclick: () => showReport(one.report) }));
@@ -120,6 +120,7 @@
       row.append(...cells);
       return row;
     }));
+    listed = entries;
     const last = Math.min(first + PAGE, table.count);
     at("count").textContent = table.count ? `${first + 1} to ${last} of ${table.count}, newest first` : "no recording yet";
     at("newer").disabled = first === 0;

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
@@ -20,6 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from hil.studio.growing import Growing
 
 from ...late_ticks import ALLOW
 
@@ -152,6 +155,39 @@ def report(page: Page) -> FrameLocator:
     """Wait for the report of the recordings that are identified. Return its frame."""
     shown(page, page.locator("#report iframe"))
     return page.frame_locator("#report iframe")
+
+
+def descendants(process: int) -> list[int]:
+    """The processes that it started, and those that they started."""
+    said = subprocess.run(["pgrep", "-P", str(process)], capture_output=True, text=True, check=False).stdout
+    return [
+        one for child in map(int, said.split()) for one in (child, *descendants(child)) if Path(f"/proc/{one}").exists()
+    ]
+
+
+@contextmanager
+def frozen(processes: list[int]) -> Iterator[None]:
+    for one in processes:
+        os.kill(one, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for one in processes:
+            os.kill(one, signal.SIGCONT)
+
+
+def wait_until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + SOON / 1e3
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def rows(part: Path) -> int:
+    """How many rows a recording in progress has."""
+    growing = Growing(part)
+    growing.update()
+    return int(growing.figures()["rows"])
 
 
 def barriers(page: Page) -> list[Any]:
@@ -320,6 +356,29 @@ def test_a_run_goes_on_when_its_page_is_closed_and_a_second_page_stops_it(opened
         assert process.poll() is None
 
 
+def test_a_run_goes_on_while_page_and_server_are_frozen_and_ends_where_the_whole_computer_sleeps(
+    opened: Opened, tmp_path: Path
+) -> None:
+    log, part = tmp_path / "torque.csv", tmp_path / "recordings" / "run1.h5.part"
+    with emulated(tmp_path, "--log", str(log)), studio(tmp_path) as (link, process):
+        page = opened(link)
+        page.get_by_label("an emulated finger").check()
+        page.click("#to-record")
+        begin(page)
+        page.click("#yes")
+        wait_for_rows(page)
+        browsers = [one for one in descendants(os.getpid()) if "chrom" in Path(f"/proc/{one}/comm").read_text()]
+        with frozen([process.pid, *browsers]):
+            before = rows(part)
+            wait_until(lambda: rows(part) > before + 100)
+        assert page.get_attribute("body", "data-moving") == "yes"
+        with frozen([process.pid, *descendants(process.pid), *browsers]):  # all but the drive
+            wait_until(lambda: log.read_text().splitlines()[-1].endswith(",tripped"))
+        page.locator("#said .error").first.wait_for()
+        page.locator("body[data-moving=no]").wait_for()
+        assert log.read_text().splitlines()[-1].split(",")[2:5] == ["0", "0", "0"]
+
+
 def test_a_run_survives_a_studio_that_is_killed_and_the_next_one_stops_it(opened: Opened, tmp_path: Path) -> None:
     with studio(tmp_path) as (link, process):
         page = opened(link)
@@ -415,8 +474,8 @@ def test_two_recordings_lie_over_each_other_and_a_window_is_dragged(opened: Open
         page.click("#compare")
         report(page).locator("h1").wait_for()
         (tmp_path / "two.h5").unlink()
-        page.click("[data-step=stand]")
-        page.click("[data-step=identify]")
+        page.get_by_label("choose one.h5").press("Space")
+        page.locator("#banner", has_text="'two.h5' is no file of this folder any more").wait_for()
         page.locator("#count", has_text="of 1,").wait_for()
 
 

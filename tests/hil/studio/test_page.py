@@ -87,19 +87,20 @@ def test_a_stand_file_with_an_error_is_shown_with_its_reason(page: TestClient, t
 
 def test_thousands_of_recordings_are_listed_a_page_at_a_time_newest_first(page: TestClient, tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
-    for number in range(1_100):
+    for number in range(10_000):
         os.close(os.open(tmp_path / "recordings" / f"run{number}.h5", os.O_CREAT))
     os.utime(tmp_path / "recordings" / "run77.h5", (2e9, 2e9))
     (tmp_path / "recordings" / "run77.html").write_text("<title>run77.h5: Kc = 17.75 &#177; 0.06</title>")
     table = page.get("/api/folder").json()
-    assert (table["count"], len(table["recordings"])) == (1_100, 50)
+    assert (table["count"], len(table["recordings"])) == (10_000, 50)
     first = table["recordings"][0]
     assert (first["file"], first["answer"], first["report"]) == (
         "recordings/run77.h5",
         "Kc = 17.75 ± 0.06",
         "recordings/run77.html",
     )
-    assert page.get("/api/folder?find=RUN99&first=10").json()["count"] == 11
+    (tmp_path / "recordings" / "\udcff.h5").touch()  # a name that is no text cannot be asked for
+    assert page.get("/api/folder?find=RUN99&first=10").json()["count"] == 111
     assert page.get("/api/folder?find=run99&first=10").json()["recordings"][0]["answer"] == ""
 
 
