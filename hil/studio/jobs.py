@@ -198,11 +198,12 @@ class Jobs:
         press: names a press of STOP, which the page sends in two ways; the later one is no second stop. "": each call
         is a stop of its own.
         """
-        if press in self._presses:
+        is_launching = self._launching.is_set()  # before the job is looked for, which is there when launching ends
+        job = self.running
+        if press in self._presses or (job is None and not is_launching):  # its other way may find a job
             return
         self._presses |= {press} - {""}
-        job = self.running
-        if self._launching.is_set():
+        if is_launching:
             self._unwanted.set()
         if job is None:
             return

@@ -12,7 +12,7 @@
     overlay: new Plots.Loop("overlay-plot"),
   };
   let table = { stands: [], recordings: [], profiles: {} }, first = 0;
-  let job = null, starting = false, store = null, drawing = 0, pressed = 0, link = null, lost = false, agree = null;
+  let job = null, starting = false, store = null, drawing = 0, pressed = false, link = null, lost = false, agree = null;
   let finished = -1, output = "", predicting = 0, timer = 0, traced = "", listed = "", began = 0;
 
   // ---- small things
@@ -132,7 +132,7 @@
     if (moving()) return;
     starting = ["record", "doctor"].includes(wanted.kind) && wanted.stand !== "sim" || wanted.kind === "record";
     began = performance.now();
-    pressed = 0;
+    pressed = false;
     showReport("");  // its frame would take the keys that stop
     await trying(() => ask("/api/start", wanted));
     starting = false;
@@ -159,12 +159,13 @@
   }
 
   function stop() {
-    pressed = pressed || performance.now();
+    pressed = true;
     at("stop").textContent = "STOP sent";
     const press = String(Math.random());  // the open connection is faster, and the request goes where that one hangs
     if (link && link.readyState === WebSocket.OPEN) link.send(press);
     fetch(`/api/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => { if (!answer.ok) throw new Error(); return answer.json(); }).then((answer) => {
       if (!answer.running) at("stop").textContent = "STOP";
+      if (!answer.running && !starting) pressed = false;
     }).catch(() => say("STOP did not reach hil studio: press Ctrl-C in its terminal, or cut the power of the motor."));
   }
 
@@ -192,7 +193,13 @@
 
   function told(state) {
     if (!job && state.status !== null) finished = state.number;  // it ended before this page was opened
-    else if (!job || job.number !== state.number) { store = null; pressed = 0; if (state.moves) showReport(""); if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); } }
+    else if (!job || job.number !== state.number) {
+      if (pressed && !state.stops && state.status === null) stop();  // the first one came before the command
+      store = null;
+      pressed = false;
+      if (state.moves) showReport("");
+      if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); }
+    }
     job = state;
     starting = false;
     showState();
@@ -205,7 +212,7 @@
     const busy = job.status === null && ["identify", "compare", "export"].includes(job.kind);
     at("progress").hidden = !busy;
     if (busy) at("progress").lastElementChild.textContent = `${job.said[job.said.length - 1] || job.command} (${Math.round((performance.now() - began) / 1000)} s)`;
-    if (job.status !== null && finished !== job.number) { finished = job.number; ended(); }
+    if (job.status !== null && finished !== job.number) { finished = job.number; pressed = false; ended(); }
   }
 
   function showState() {
@@ -217,8 +224,6 @@
     if (job && job.moves && job.stops) text = job.off_after !== null ? `Torque off after ${Math.round(1000 * job.off_after)} ms.` : job.status === null ? "Stopping ..." : "Stopped.";
     if (at("state").textContent !== text) at("state").textContent = text;
     at("stop").textContent = job && job.status === null && job.stops ? "STOP sent" : "STOP";
-    if (pressed && job && job.off_after !== null && !at("stop").dataset.took) at("stop").dataset.took = performance.now() - pressed;
-    if (!pressed) delete at("stop").dataset.took;
     document.body.dataset.moving = moving() ? "yes" : "no";
     at("start").disabled = moving();
   }

@@ -305,6 +305,16 @@ def test_any_key_stops_while_the_motor_moves(opened: Opened, tmp_path: Path) -> 
             shown(page, page.locator("#predicted", has_text="(stopped on request)"))
 
 
+def test_a_key_right_after_start_stops_too(opened: Opened, tmp_path: Path) -> None:
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.click("#to-record")
+        begin(page)
+        page.keyboard.press("Space")
+        page.locator("#state", has_text="Stopped.").or_(page.locator("#banner", has_text="before it began")).wait_for()
+        page.locator("body[data-moving=no]").wait_for()
+
+
 def test_the_whole_way_is_possible_with_the_keyboard_alone_at_390_pixels_in_the_dark(
     opened: Opened, tmp_path: Path, pictures: Path
 ) -> None:

@@ -198,6 +198,7 @@ def test_a_run_that_another_program_started_is_shown_and_stopped_softly(page: Te
         time.sleep(0.01)
     states: list[dict[str, Any]] = []
     rows = 0
+    assert page.post("/api/stop?press=0.5").json() == {"running": False}  # too early, and again below
     page.get("/api/folder")
     cookie = "; ".join(f"{one.name}={one.value}" for one in page.cookies.jar)
     with page.websocket_connect(f"ws://127.0.0.1:{PORT}/api/stream", headers={"cookie": cookie}) as stream:
