@@ -215,7 +215,8 @@ def test_the_zero_is_where_the_motor_rests(stand: Path) -> None:
 def test_an_empty_rig_is_identified_stored_and_used_by_the_name_of_the_stand_file(
     make_recording: Maker, stand: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    rig, joint = make_recording("rig.h5", kc=0.2, bc=1e-3, noise=1e-5), make_recording("joint.h5", noise=1e-5)
+    rig = make_recording("rig.h5", samples=600, kc=0.2, bc=1e-3, noise=1e-5)
+    joint = make_recording("joint.h5", samples=600, noise=1e-5)
     assert run(["calibrate", "fixture", str(stand), "--recording", str(rig)]) == 0
     assert capfd.readouterr().out.startswith("the fixture has 0.2")
     stored = load(stand).calibration.fixture

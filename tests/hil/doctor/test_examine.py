@@ -296,7 +296,7 @@ def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets
         opened.append(table.return_delay)
         return rig.open(mode=table.mode, return_delay=table.return_delay), {}
 
-    monkeypatch.setattr(hil.doctor.tune, "_TICKS", 300)
+    monkeypatch.setattr(hil.doctor.tune, "_TICKS", 100)
     monkeypatch.setattr(hil.doctor.tune, "open_servo", at_rest)
     slow = f"{STAND.format(port='loop://')}return_delay = 500e-6\n"
     monkeypatch.setattr(__name__ + ".stand_at", lambda _: parse(slow))

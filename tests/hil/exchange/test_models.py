@@ -163,7 +163,7 @@ def test_what_is_no_result_is_refused(tmp_path: Path, text: str, said: str) -> N
 
 
 def test_a_recording_is_identified_and_exported_in_one_command(hil: Hil, tmp_path: Path, make_recording: Maker) -> None:
-    make_recording("a.h5", noise=1e-5)
+    make_recording("a.h5", samples=600, noise=1e-5)
     status, out, _ = hil("export", "a.h5", "-o", "a.sdf")
     assert (status, out.startswith("a.sdf: Kc 0.0")) == (0, True)
     text = (tmp_path / "a.sdf").read_text()

@@ -31,7 +31,10 @@ def test_a_table_comes_back_as_it_was_read(tmp_path: Path) -> None:
 
 
 def test_a_file_that_unpacks_to_a_hundred_times_its_size_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    with gzip.open(tmp_path / "a.csv.gz", "wb") as packed, zipfile.ZipFile(tmp_path / "a.npz", "w", 8) as archive:
+    with (
+        gzip.open(tmp_path / "a.csv.gz", "wb", 1) as packed,
+        zipfile.ZipFile(tmp_path / "a.npz", "w", 8, compresslevel=1) as archive,
+    ):
         for number in range(9):
             packed.write(bytes(1 << 23))
             archive.writestr(f"{number}.npy", bytes(1 << 23))

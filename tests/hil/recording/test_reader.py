@@ -720,7 +720,7 @@ def test_a_program_that_ignores_the_end_of_its_children_can_open_a_recording(tmp
 
 
 @pytest.mark.damaged_files
-@pytest.mark.parametrize("fault", ["hangs", "crashes", "needs much memory"])
+@pytest.mark.parametrize("fault", [pytest.param("hangs", marks=pytest.mark.study), "crashes", "needs much memory"])
 def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
 ) -> None:
