@@ -162,8 +162,8 @@ class Problem:
         return replace(self, motion=self.motion.of(rows), torque=self.torque[rows])
 
     def thinned(self, rows: int = ENOUGH) -> Problem:
-        """Return the problem on about `rows` samples, evenly spaced."""
-        return self.of(slice(None, None, max(1, len(self.torque) // rows)))
+        """Return the problem on about `rows` samples, evenly spaced; a part of all would compute everything twice."""
+        return self.of(slice(None, None, every)) if (every := len(self.torque) // rows) > 1 else self
 
     def sketched(self) -> Problem:
         """Return the problem on a few samples of a coarser, still dense enough motion, to find a starting point."""

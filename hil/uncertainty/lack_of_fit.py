@@ -12,6 +12,7 @@ the fraction of the residuals that ridge regression predicts in blocks that it w
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,7 +183,7 @@ class _Tests:
             left = self._tested.without_model(columns)
             if not (np.linalg.norm(left, axis=0) > 1e-3 * np.linalg.norm(columns, axis=0)).all():
                 continue
-            factors = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
+            factors = _least_squares(left, self._tested.residuals)
             share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
             if best is not None and share <= best.share:
                 continue
@@ -210,10 +211,12 @@ class _Tests:
         """Return the relative change of Kc and Bc if the effect's torque (n,) is removed from the fit."""
         if self._fitted.coupling is None:
             return 0.0, 0.0
-        moved = -np.linalg.lstsq(self._fitted.columns, torque, rcond=None)[0][list(self._fitted.coupling)]
-        if effect.in_deflection:
-            moved = self._moved_by_noise()
-        return self._relative(np.asarray(moved))
+        return self._relative(self._moved_by_noise() if effect.in_deflection else -self._of_coupling @ torque)
+
+    @cached_property
+    def _of_coupling(self) -> Array:
+        """The weights (2, n) of a torque in the least-squares estimates of Kc and Bc."""
+        return np.asarray(np.linalg.pinv(self._fitted.columns)[list(self._fitted.coupling or ())])
 
     def _moved_by_noise(self) -> Array:
         """Return the change of Kc and Bc (2,), SI, that removes the effect of noise in the deflection.
@@ -309,6 +312,13 @@ def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
     return recorded.at(rows, starts), replace(
         fitted, residuals=fitted.residuals[rows], columns=fitted.columns[rows], kept=kept
     )
+
+
+def _least_squares(columns: Array, values: Array) -> Array:
+    """Return the factors (k,) of columns (n, k) that fit values (n,); one column needs no decomposition."""
+    if columns.shape[1] == 1:
+        return np.asarray((columns.T @ values) / np.sum(columns**2))
+    return np.asarray(np.linalg.lstsq(columns, values, rcond=None)[0])
 
 
 def _apart(coupling: Array) -> Array:
