@@ -6,6 +6,7 @@ dozens of array functions take longer than the computation itself. `ga.lad.exact
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -78,6 +79,7 @@ def solve_few(
     return (genes, certificate, bool(np.abs(needed).max() < ALONE)) if certificate <= PROVEN else None
 
 
+@lru_cache(maxsize=8)  # a search asks for it thousands of times, and drawing takes as long as a descent
 def _sample(n: int) -> Basis:
     """Return the indices of about `_SOME` of n rows: one at random out of every few, because a fixed stride could beat
     with a periodic excitation.
