@@ -107,7 +107,7 @@ def compare(
         created, imported = zip(*(_origin(source) for source in sources), strict=True)
         if any(imported):
             text = "an imported recording does not say when it was made: no drift is estimated with it"
-            diagnostics.append(Diagnostic("left-out", text))
+            diagnostics.append(Diagnostic("hard-to-compare", text))
         first = min((moment for moment in created if moment is not None), default=None)
         all_found = identify_each([Task((one,), model, search) for one in given], progress)
         measured = []
@@ -158,7 +158,7 @@ def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
         return []
     return [
         Diagnostic(
-            "scale-in-common",
+            "hard-to-compare",
             f"the torque's scale is uncertain by {common:.2%}, the same in all recordings. The intervals include it; "
             "the standard deviations within and between the recordings do not",
         )
@@ -167,7 +167,7 @@ def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
 
 def _usable(path: Path, found: Result, diagnostics: list[Diagnostic]) -> Identification | None:
     if isinstance(found, Untrustworthy):
-        diagnostics.append(Diagnostic("left-out", f"{found}; it is left out"))
+        diagnostics.append(Diagnostic("hard-to-compare", f"{found}; it is left out"))
         return None
     # only warnings here: the comparison has its own errors, by the recordings that remain
     diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in found.diagnostics]

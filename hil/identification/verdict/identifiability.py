@@ -44,7 +44,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     if evidence.holdout.nrmse > UNEXPLAINED:
         found.append(
             Diagnostic(
-                "unexplained",
+                "implausible",
                 f"model {evidence.model.name} leaves {evidence.holdout.nrmse:.0%} of the torque in data that it was "
                 "not fitted to. Torque and deflection hardly depend on each other, so Kc and Bc mean nothing. Check "
                 "units and signs, and that both readings are of the same joint",

@@ -34,7 +34,7 @@ def test_every_recording_has_a_row_its_pictures_and_its_warnings_and_twenty_are_
 
 
 def test_a_recording_that_went_wrong_chooses_neither_unit_nor_axis_and_is_marked(found: Identification) -> None:
-    wrong = Diagnostic("unexplained", "noise", is_error=True)
+    wrong = Diagnostic("implausible", "noise", is_error=True)
     huge = replace(found["Kc"], value=5e3, ci95=(0.0, 1e4)), replace(found["Bc"], value=9.0, ci95=(0.0, 20.0))
     signals = replace(found.signals, torque=1e4 * found.signals.torque)
     bad = Entry(Path("bad.h5"), replace(found, estimates=huge, signals=signals, diagnostics=(wrong,)))
