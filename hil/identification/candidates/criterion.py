@@ -160,17 +160,6 @@ class Criterion:
             plainest = one if predicts_better(one, plainest) >= WORSE else plainest
         return plainest
 
-    def is_as_likely(self, plainer: Candidate, other: Candidate) -> bool:
-        """Return whether the plainer model is not clearly less likely than the other, by the comparison in
-        `likeliest`.
-        """
-        alike = max(self.correlation(one, one.terms[-1]) for one in (plainer, other))
-        if math.isinf(alike):  # a term that does nothing says nothing of the others
-            return False
-        count = max(len(self.signs) / alike, math.e)
-        more = len(plainer.model.parameters) - len(other.model.parameters)
-        return more * math.log(count) + self.ratio(plainer, other) / alike <= STRONG and plainer.stiffness > 0.0
-
     def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
         """Return by how much the criterion improves with `more` additional parameters, after their cost is subtracted.
 

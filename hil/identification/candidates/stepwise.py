@@ -7,7 +7,7 @@ predicts held-out blocks best. Terms that no longer improve the score are remove
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -109,18 +109,15 @@ def select(
     noise = criterion_of(fits, terms, smallest)
     steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False))
     usual = steps.forward(fits.candidate(smallest))
-    late = LateReading(fits, steps.criterion, accounts)
-    if not rarer or sticks(Selection(usual)):
-        return Selection(usual, steps, late)
-    if describes(Selection(usual), True):
-        return Selection(late.instead_of_skew(usual), steps, late)
+    if not rarer or sticks(Selection(usual)) or describes(Selection(usual), True):
+        return Selection(usual, steps, LateReading(fits, steps.criterion, accounts))
     likely = _likeliest(fits, rarer, (smallest, usual.terms))
     steps = steps.with_rarer(likely, rarer)
-    richer = steps.plainest(steps.forward(fits.candidate(smallest)))
+    richer = steps.forward(fits.candidate(smallest))
     if set(rarer).intersection(richer.terms) and not describes(Selection(richer), True):
         # another effect may show only beside the one found
         more = steps.with_rarer((*likely, *_likeliest(fits, rarer, (richer.terms,))), rarer)
-        found = more.plainest(more.forward(fits.candidate(smallest)))
+        found = more.forward(fits.candidate(smallest))
         steps, richer = (more, found) if describes(Selection(found), True) else (steps, richer)
     chosen = richer if set(rarer).intersection(richer.terms) else usual
     late = LateReading(fits, steps.criterion, accounts)
@@ -173,42 +170,6 @@ class _Steps:
                 break  # the new term replaced one that it needs: this would repeat for ever
             chosen = larger
         return self._predicting(self._pruned(chosen))
-
-    def plainest(self, chosen: Candidate) -> Candidate:
-        """Return the model with a plainer law of the same effect in place of a rare one, if the data cannot rank the
-        two.
-
-        The steps include the law that fits best in a small model; beside the terms added later, another law may fit
-        equally well.
-        """
-        for term in (term for term in chosen.terms if term in self.rare):
-            chosen = next(self._plainer(chosen, term), chosen)
-        return chosen
-
-    def _plainer(self, chosen: Candidate, term: str) -> Iterator[Candidate]:
-        """Yield the models with a plainer law than the term that are as likely as the chosen one, the plainest first.
-
-        Each model is compared with the chosen one: of three laws, the data may be able to rank only the first and the
-        last.
-        """
-        others = tuple(other for other in chosen.terms if other != term)
-        for law in PLAINEST_FIRST[: PLAINEST_FIRST.index(term)]:
-            terms = tuple(law if other == term else other for other in chosen.terms)
-            complete = is_addable(law, others) and not any(lacking(other, terms) for other in others)
-            if self._is_plainer(term, law) and complete and self.fits.fitness(terms) < np.inf:
-                plainer = self.fits.candidate(terms, beside=chosen)
-                if plainer.is_possible(*terms[1:]) and self.criterion.is_as_likely(plainer, chosen):
-                    yield plainer
-
-    def _is_plainer(self, term: str, law: str) -> bool:
-        """Return whether `law` is one of the terms considered and a plainer law of the same effect as `term`.
-
-        Two laws of one effect exclude each other. The plainer law is contained in the other, is common where the other
-        is rare, or is earlier in the table. A law with fewer parameters that is not contained describes another effect.
-        """
-        beside = law in self.considered and (law in TERMS[term].excludes or term in TERMS[law].excludes)
-        fewer = len(own(term)) - len(own(law))
-        return beside and (law not in self.rare or fewer == 0 or set(own(law)) < set(own(term)))
 
     def to(self, chosen: Candidate) -> tuple[Step, ...]:
         """Return the steps that led to the chosen model, then one step for each rejected term.

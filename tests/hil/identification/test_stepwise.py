@@ -452,81 +452,10 @@ def test_where_something_is_not_described_a_term_is_judged_by_as_few_samples_as_
     assert doubted.correlation(fitted, "skew") == usual.correlation(fitted, "offset")
 
 
-@pytest.mark.study
-def test_rarer_terms_are_compared_beside_each_model_that_the_steps_came_by(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside the last of them alone, a term may be at its bound that halves the residuals of another."""
-    compared: list[tuple[tuple[str, ...], ...]] = []
-    likeliest = stepwise._likeliest
-
-    def seen(fits: Fits, terms: tuple[str, ...], models: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-        compared.append(models)
-        return likeliest(fits, terms, models)
-
-    monkeypatch.setattr(stepwise, "_likeliest", seen)
-    moved, motion = slow()
-    torque = with_play(moved) + sheathed(moved, 0.02)
-    torque += 1e-3 + 5e-5 * np.random.default_rng(1).standard_normal(len(torque))
-    select(motion, torque, 0.5, rarer=("dahl",), describes=lambda *_: False)
-    assert len(set(compared[0])) == len(compared[0]) > 2
-
-
 def test_a_rarer_term_brings_what_it_needs_where_no_usual_model_has_it() -> None:
     moved, motion = slow()
     fits = Fits(motion, with_play(moved) + 5e-5 * np.random.default_rng(1).standard_normal(len(motion)), 0.5)
     assert stepwise._likeliest(fits, ("deadband",), (("linear",), ("linear", "cubic"))) == ("deadband",)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("law", ["dahl", "boucwen"])
-def test_a_law_of_friction_gives_way_to_a_plainer_one_unless_the_data_rank_them(
-    law: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    moved, motion = slow()
-    torque = KC * moved.dtheta + (sheathed(moved, 0.05) if law == "dahl" else 2e-3 * motion.yielding(0.1))
-    torque += 1e-3 + 5e-5 * np.random.default_rng(1).standard_normal(len(torque))
-    forward = stepwise._Steps.forward
-
-    def to_bouc_wen(steps: stepwise._Steps, chosen: Candidate) -> Candidate:
-        return steps.fits.candidate(("linear", "offset", "boucwen")) if steps.rare else forward(steps, chosen)
-
-    monkeypatch.setattr(stepwise._Steps, "forward", to_bouc_wen)
-    found = select(motion, torque, 0.5, rarer=("dahl", "boucwen"), describes=lambda *_: False)
-    assert found.model.name == f"linear+offset+{law}"
-
-
-def test_a_plainer_law_is_held_against_the_model_chosen_and_not_against_one_in_between(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The data rank `coulomb` below `lugre`, and `dahl` neither below `lugre` nor above `coulomb`."""
-    moved, motion = slow()
-    torque = KC * moved.dtheta + sheathed(moved, 0.05) + 1e-3
-    fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
-    terms = ("coulomb", "dahl", "lugre")
-    noise = criterion.criterion_of(fits, terms, ("linear", "offset"))
-    steps = stepwise._Steps(fits, noise, terms, rare=terms[1:])
-    monkeypatch.setattr(
-        criterion.Criterion,
-        "is_as_likely",
-        lambda _, plainer, other: (plainer.terms[-1], other.terms[-1]) != ("coulomb", "lugre"),
-    )
-    assert steps.plainest(fits.candidate(("linear", "offset", "lugre"))).terms[-1] == "dahl"
-
-
-@pytest.mark.study
-def test_friction_whose_turning_is_smooth_gives_way_to_no_gap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A gap leaves nothing that rubs; it was as likely because smooth did nothing there."""
-    moved, motion = slow()
-    spring, rate = KC * moved.dtheta, motion.dtheta_dot
-    torque = spring + 0.15 * np.abs(spring) * np.tanh(rate / (0.3 * rate.std())) + 1e-3
-    fits = Fits(motion, torque + 5e-5 * np.random.default_rng(1).standard_normal(len(torque)), 0.5)
-    terms = ("coulomb", "backlash", "pulley", "smooth")
-    noise = criterion.criterion_of(fits, terms, ("linear", "offset"))
-    steps = stepwise._Steps(fits, noise, terms, rare=terms[2:])
-    chosen = fits.candidate(("linear", "offset", "pulley", "smooth"))
-    assert steps.plainest(chosen) is chosen
-    assert not noise.is_as_likely(fits.candidate(("linear", "offset", "backlash", "smooth")), chosen)
-    monkeypatch.setattr(criterion.Criterion, "is_as_likely", lambda *_: True)
-    assert steps.plainest(chosen).terms[-2:] == ("pulley", "smooth")
 
 
 def test_two_laws_of_one_kind_and_what_rounds_friction_off_take_the_place_of_no_other_kind() -> None:
