@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 # before numpy is imported: every core has a worker of its own, and more threads only wait for each other
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -37,6 +39,7 @@ settings.register_profile("hil", deadline=None, max_examples=40)  # a busy compu
 settings.load_profile("hil")
 
 SOFTWARE = functools.cache(writer._software)
+UNSEARCHED = SimpleNamespace(collect=int, freeze=gc.freeze, unfreeze=gc.unfreeze)
 SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
 
 
@@ -88,15 +91,17 @@ def state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 
 @pytest.fixture(autouse=True)
 def recordings_are_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Save what costs 100 ms for each recording and is the same for all.
+    """Save what costs 100 ms or more for each recording and is the same for all.
 
     None is tried out in a copy of this process before it is opened, since nearly every test has just written it
-    itself; and the versions of the software, one of them `git`'s, are looked up once.
+    itself; the versions of the software, one of them `git`'s, are looked up once; and before a run in real time the
+    memory is not searched for what can be freed, which holds all tests here.
     """
     if request.node.get_closest_marker("damaged_files") is None:
         monkeypatch.setattr("hil.recording.reader.in_child", lambda *_, **__: True)
         monkeypatch.setattr("hil.recording.input.in_child", lambda work, **_: work())
     monkeypatch.setattr("hil.recording.writer._software", SOFTWARE)
+    monkeypatch.setattr("hil.acquisition.real_time.gc", UNSEARCHED)
 
 
 @pytest.fixture
