@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -33,6 +33,7 @@ class Line(NamedTuple):
 
 def line_of(wanted: Mapping[str, Any], folder: Folder) -> Line:
     """Return the command line for what the page asks: texts by name, "kind" among them. Raises WrongUse."""
+    makers: dict[str, Callable[[Mapping[str, Any], Folder], Line]]
     makers = {"readings": _readings, "doctor": _doctor, "record": _record, "identify": _identify, "compare": _compare}
     makers |= {"export": _export, "design": _design, "stand": _stand}
     kind = text_of(wanted, "kind")

@@ -195,7 +195,7 @@ def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Mak
     assert found["Bc"].ci95 == pytest.approx(of_file["Bc"].ci95, rel=1e-9)
     assert len(found.residuals) == len(found.predicted) <= 600
     assert float(np.mean(np.abs(found.residuals))) == pytest.approx(found.identification.optimum, rel=2e-3)
-    assert found["Kc"].stderr == pytest.approx(found["Kc"].half_width / 1.96)
+    assert found["Kc"].stderr == pytest.approx(found["Kc"].half_width / 1.959964)
     errors = np.sqrt(np.diag(found.covariance))
     assert errors == pytest.approx([one.stderr for one in found.parameters.values()])
     assert abs(found.covariance[0, 1]) < errors[0] * errors[1]

@@ -29,7 +29,7 @@ class Module:
     prints_or_exits: list[int] = field(default_factory=list)
     codes: set[str] = field(default_factory=set)
     named: int = 0
-    decides: list[float] = field(default_factory=list)
+    decides: list[object] = field(default_factory=list)
     unnamed: int = 0
 
 
