@@ -31,6 +31,7 @@ from hil.studio.growing import Growing, is_writing, recorder_of
 _SHOWN: Final = 16_384  # bytes of a command's messages
 _LARGEST: Final = 1 << 25  # bytes of its JSON
 _WATCHED: Final = 5e-3  # s between two looks for the end of the torque
+_ENDING: Final = 15.0  # s that a command is given to close its link, on a busy computer
 _SOON: Final = 15.0  # s after a stop until which it is looked for
 _NUMBERS: Final = itertools.count(1)
 
@@ -132,8 +133,10 @@ class Job:
         if isinstance(self._process, subprocess.Popen):
             if self.status is None:
                 self.signal()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(timeout=5.0)
+            try:
+                self._process.wait(timeout=_ENDING)
+            except subprocess.TimeoutExpired:
+                return
         self._files.close()
 
 
@@ -178,6 +181,8 @@ class Jobs:
                 raise WrongUse(f"hil {running.line.kind} is running: wait for its end, or stop it first")
             line = line_of(wanted, self.folder)
             self.end()  # of readings: a drive answers one program at a time
+            if self.running is not None:
+                raise WrongUse("the live readings have not closed their link yet: try again")
             if self._unwanted.is_set():
                 raise WrongUse("it was stopped before it began")
             self.job = job = Job(line, self.folder.place)

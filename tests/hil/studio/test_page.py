@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -178,6 +180,24 @@ def test_a_report_that_hil_did_not_write_is_not_replaced(make_recording: Maker, 
     assert "--force" not in line_of(wanted, Folder(tmp_path)).words
     page.write_text("<title>a.h5: Kc = 1</title>")
     assert "--force" in line_of(wanted, Folder(tmp_path)).words
+
+
+def test_no_command_takes_a_drive_from_readings_that_still_hold_its_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); print(1, flush=True)"
+    monkeypatch.setattr("hil.studio.jobs.command", lambda *_: [sys.executable, "-c", f"{slow}; time.sleep(60)"])
+    monkeypatch.setattr("hil.studio.jobs._ENDING", 0.01)
+    jobs = Jobs(Folder(tmp_path))
+    readings = jobs.start({"kind": "readings", "stand": "sim"})
+    while readings.state()["answer"] is None:
+        time.sleep(0.01)
+    with pytest.raises(WrongUse, match="have not closed their link"):
+        jobs.start({"kind": "doctor", "stand": "sim"})
+    assert readings.state()["status"] is None
+    assert isinstance(readings._process, subprocess.Popen)
+    readings._process.kill()
+    jobs.end()
 
 
 def test_a_port_that_is_taken_is_said_before_anything_starts() -> None:
