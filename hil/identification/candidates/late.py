@@ -17,7 +17,7 @@ from ga.model.polishing import polished
 from ga.model.separable import descend
 from ga.model.terms import is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import FORGOTTEN
-from hil.identification.candidates.criterion import Criterion
+from hil.identification.candidates.criterion import STRONG, Criterion
 from hil.identification.candidates.fits import LATE, Candidate, Fits, own
 from hil.identification.candidates.held import DRIVES, damping_at, taken_off
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
@@ -92,6 +92,20 @@ class LateReading:
         alike = self.criterion.blurred(other, _LAG)
         parameter = math.log(max(len(self.fits.torque) / alike, math.e))
         return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
+
+    def instead_of_skew(self, chosen: Candidate) -> Candidate:
+        """Return the model with a lag or an inertia in place of its skew if that fits clearly better; else the chosen
+        model.
+        """
+        gains = {}
+        others = [one for one in self.accounts if one not in chosen.terms] if _SKEW in chosen.terms else []
+        for one in others:
+            terms = _replaced(chosen.terms, _SKEW, one)
+            if self.fits.fitness(terms) < np.inf:
+                other = self.fits.candidate(terms)
+                gains[one] = self._independent(chosen, other, one) if other.is_possible(one) else 0.0
+        best = max(gains, key=lambda one: gains[one], default="")
+        return self.fits.candidate(_replaced(chosen.terms, _SKEW, best)) if gains.get(best, 0.0) > STRONG else chosen
 
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
         """Return the models with each cause of delay: a skew, a lag of the cell, both, or an inertia.
@@ -250,6 +264,12 @@ class LateReading:
         settled = self.fits.motion.elapsed > FORGOTTEN * time
         less = np.abs(chosen.problem.residuals(chosen.fit)) - np.abs(late.problem.residuals(late.fit))
         return float(4.0 * self.criterion.density * less[settled].sum())
+
+    def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
+        """Return the likelihood ratio of model `other` to model `one`, divided by the factor by which correlated
+        residuals make it less certain.
+        """
+        return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
 
     def _others(self, chosen: Candidate) -> list[Candidate]:
         """Return the models with each cause of a delayed torque reading, including the chosen model."""

@@ -109,8 +109,11 @@ def select(
     noise = criterion_of(fits, terms, smallest)
     steps = _Steps(fits, noise, terms, is_enough=lambda one: describes(one, False))
     usual = steps.forward(fits.candidate(smallest))
-    if not rarer or sticks(Selection(usual)) or describes(Selection(usual), True):
-        return Selection(usual, steps, LateReading(fits, steps.criterion, accounts))
+    late = LateReading(fits, steps.criterion, accounts)
+    if not rarer or sticks(Selection(usual)):
+        return Selection(usual, steps, late)
+    if describes(Selection(usual), True):
+        return Selection(late.instead_of_skew(usual), steps, late)
     likely = _likeliest(fits, rarer, (smallest, usual.terms))
     steps = steps.with_rarer(likely, rarer)
     richer = steps.forward(fits.candidate(smallest))
