@@ -107,8 +107,11 @@ class Reader:
 
 @contextmanager
 def busy_machine() -> Iterator[None]:
-    """Programs that want every core, for as much of it as a drive takes to be started, checked and recorded."""
-    spin = f"import time\nwhile time.process_time() < {_BUSY}: pass"
+    """Programs that want every core, for as much of it as a drive takes to be started, checked and recorded.
+
+    They give way to the emulator, which stands for a drive with a computer of its own.
+    """
+    spin = f"import os, time\nos.nice(10)\nwhile time.process_time() < {_BUSY}: pass"
     loops = [subprocess.Popen([sys.executable, "-c", spin]) for _ in range(os.cpu_count() or 1)]
     try:
         yield
