@@ -72,8 +72,14 @@ def read(reader: Reader, block: Block, *, busy: bool) -> None:
         (reader.folder / ".block.py").write_text(block.text, encoding="utf-8")
         reader.paste("python .block.py")
     elif "--background" in block.text:
+        lines = re.sub(r"^(hil identify .*)$", r"\1 || [ $? = 1 ]", block.text, flags=re.M)
         with busy_machine() if busy else nullcontext():
-            reader.paste(re.sub(r"^(hil identify .*)$", r"\1 || [ $? = 1 ]", block.text, flags=re.M))
+            try:
+                reader.paste(lines)
+            except AssertionError as error:
+                if "no reply for 3 ticks in a row" not in str(error):
+                    raise
+                reader.paste(lines)  # a host may take a core from an emulator for 60 ms, but hardly twice
     else:
         assert block.language == "sh", f"a block of {block.language} is neither run nor in NOT_RUN"
         reader.paste(block.text)
