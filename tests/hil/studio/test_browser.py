@@ -140,6 +140,14 @@ def begin(page: Page) -> None:
     page.click("#start")
 
 
+def begin_on_the_drive(page: Page) -> None:
+    """Choose the emulated drive, start such a run, and say yes to the question."""
+    page.get_by_label("an emulated finger").check()
+    page.click("#to-record")
+    begin(page)
+    page.click("#yes")
+
+
 def wait_for_rows(page: Page) -> None:
     """Wait until rows have come for a fifth of a second."""
     shown(page, page.locator("#figures", has_text=re.compile(r"Kc so far[\d.]")))
@@ -372,10 +380,7 @@ def test_a_run_goes_on_while_page_and_server_are_frozen_and_ends_where_the_whole
     log, part = tmp_path / "torque.csv", tmp_path / "recordings" / "run1.h5.part"
     with emulated(tmp_path, "--log", str(log)), studio(tmp_path) as (link, process):
         page = opened(link)
-        page.get_by_label("an emulated finger").check()
-        page.click("#to-record")
-        begin(page)
-        page.click("#yes")
+        begin_on_the_drive(page)
         wait_for_rows(page)
         browsers = [one for one in descendants(os.getpid()) if "chrom" in Path(f"/proc/{one}/comm").read_text()]
         with frozen([process.pid, *browsers]):
@@ -428,10 +433,7 @@ def test_a_drive_that_is_unplugged_ends_the_run_with_its_reason(opened: Opened, 
         drive.enter_context(emulated(tmp_path))
         link, _ = stack.enter_context(studio(tmp_path))
         page = opened(link)
-        page.get_by_label("an emulated finger").check()
-        page.click("#to-record")
-        begin(page)
-        page.click("#yes")
+        begin_on_the_drive(page)
         wait_for_rows(page)
         drive.close()
         page.locator("#said .error").first.wait_for()
@@ -444,16 +446,10 @@ def test_a_second_studio_on_the_same_stand_is_refused_with_the_first_ones_run(op
     with emulated(tmp_path) as stand, studio(tmp_path) as (link, _), studio(other) as (second, _):
         shutil.copy(stand, other)
         page = opened(link)
-        page.get_by_label("an emulated finger").check()
-        page.click("#to-record")
-        begin(page)
-        page.click("#yes")
+        begin_on_the_drive(page)
         wait_for_rows(page)
         rival = opened(second)
-        rival.get_by_label("an emulated finger").check()
-        rival.click("#to-record")
-        begin(rival)
-        rival.click("#yes")
+        begin_on_the_drive(rival)
         said = rival.locator("#said .error", has_text="in use by process").inner_text()
         assert re.search(r"in use by process \d+ \(python\S* hil record --stand=finger.toml ", said)
         assert rival.get_attribute("body", "data-moving") == "no"
