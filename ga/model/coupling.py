@@ -155,6 +155,13 @@ class CouplingModel:
         seen = model._seen(motion, nonlinear, lag)
         return model._read(motion, model._stacked(seen, nonlinear), nonlinear)
 
+    def raw_columns(self, motion: Motion, nonlinear: Array, lag: float = 0.0) -> Array:
+        """Return the columns (n, p) before the torque cell, with what unknown initial states explain still in them.
+
+        nonlinear (q,), lag: see `columns`.
+        """
+        return self._stacked(self._seen(motion, nonlinear, lag), nonlinear)
+
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return the torque (n,), N m, that the columns are fitted to: the measured torque less its known part.
 

@@ -185,19 +185,21 @@ class Term:
     needs: the term without which it has no meaning. or_needs: other terms, of which one is enough instead.
     excludes: the terms that it cannot be combined with, and why.
     bends: whether its torque is no linear filter of the motion, and so changes under a filter of torque and motion.
-    breaks: whether its torque has breaks.
+    breaks: whether its torque has breaks; such a term has small prior odds, because it fits much by chance.
     confusable: terms beside which this term must improve the score as much as one with breaks, because it resembles a
       part of them.
     sticks: whether friction of the term holds the joint where it is slow.
     open: returns the deflections, rad, between which a gap with the term's parameters is open.
     bench: whether every bench may have a little of it ("small"), or has it ("always"): such terms are in the average.
-    seldom: whether only one joint in ten has it.
+      A term that every bench has costs no prior odds.
+    seldom: whether its prior odds are smaller than those of its class.
     repeats: whether only a motion that repeats shows it.
     deviation: the torque (n,) by which a real joint departs from the term's law, up to a factor: of the motion, and of
       the model's columns and values by parameter.
     mark: what residuals show of it where the model lacks it.
-    selection: whether model selection has it in the smallest model, considers it always, considers it only for a
-      motor's torque or if other terms describe the recording badly, or never considers it.
+    selection: its prior class. Model selection begins with a "smallest" term, at no cost. It expects a "considered"
+      (common) term in one joint of two, a "motor torque" or "misfit" (rare) term in one of ten. A "misfit" term must
+      also have strong evidence. It never considers a "named" term.
     """
 
     name: str

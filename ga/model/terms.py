@@ -37,14 +37,10 @@ PARAMETERS: Final[Mapping[str, Parameter]] = MappingProxyType(_parameters)
 CONSIDERED: Final = tuple(
     t.name for t in _RECORDS if t.selection in {"smallest", "considered"} and t.role != "coupling"
 )
-"""The terms that model selection considers for every recording."""
+"""The common terms, and those of the smallest model."""
 
 RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
-"""The rare terms, which model selection considers only if the terms in `CONSIDERED` do not describe the recording."""
-
-
-OF_MOTOR: Final = tuple(t.name for t in _RECORDS if t.selection == "motor torque")
-"""The terms that model selection considers for a motor's torque, and elsewhere only as the rare ones."""
+"""The rare terms, which model selection keeps only with strong evidence."""
 
 SMALLEST: Final = "+".join(t.name for t in _RECORDS if t.selection == "smallest")
 """The name of the smallest model that is selected."""
@@ -116,18 +112,6 @@ def lacking(term: str, terms: Collection[str]) -> str:
     """Return the term that this term needs and that is missing in `terms`; empty if no term is missing."""
     needs = TERMS[term].needs
     return "" if not needs or {needs, *TERMS[term].or_needs}.intersection(terms) else needs
-
-
-def with_another(terms: Collection[str], term: str, *, complete: bool = False) -> tuple[str, ...]:
-    """Return the terms with `term` added; a rare term replaces the terms that it excludes.
-
-    complete: whether to add the term that `term` needs too, unless the needed term is rare.
-    """
-    others = tuple(other for other in terms if other != term)
-    others = _beside((term,), others) if term in RARER else others
-    needed = lacking(term, others)
-    brings = complete and needed and needed not in RARER and is_addable(needed, others)
-    return (*others, needed, term) if brings else (*others, term)
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:

@@ -148,6 +148,11 @@ class Motion:
             part_of=(whole, np.arange(len(whole))[places][rows]),
         )
 
+    def alone(self, rows: NDArray[np.int64], starts: Sequence[int]) -> Motion:
+        """Return a whole motion of the samples `rows` (n,) only. starts: the first sample of each of its pieces."""
+        parts = {name: getattr(self, name)[rows] for name in ("time", *_PARTS)}
+        return replace(self, **parts, starts=tuple(starts), part_of=None)
+
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
         """Return `fewest` or more samples of the motion, as a part of a coarser whole motion, and their indices (k,).
 
@@ -162,9 +167,8 @@ class Motion:
         chosen = np.flatnonzero((rows - kept[0]) % every == 0)
         if every == 1 or len(chosen) < fewest or np.diff([*starts, len(kept)]).min() < _FEWEST:
             return self, np.arange(len(self))
-        parts = {name: getattr(whole, name)[kept] for name in ("time", *_PARTS)}
         behind = whole.behind.of_every(every) if whole.behind else None
-        coarse = replace(whole, **parts, starts=tuple(starts.tolist()), behind=behind)
+        coarse = replace(whole.alone(kept, starts.tolist()), behind=behind)
         return coarse.of(rows[chosen] // every), chosen
 
     @cached_property

@@ -83,7 +83,7 @@ def design(
 
     kc, bc: rough values of the joint, N m/rad and N m s/rad; None: the values in [sim], for a simulated stand only.
     torque_noise: standard deviation of the torque reading at the joint, N m; None: the value in [sim]. model: the terms
-    to estimate, or "auto": all terms that model selection considers. progress: called with the name of the present step
+    to estimate, or "auto": the common terms of model selection. progress: called with the name of the present step
     and the completed fraction. The other arguments are those of `hil.record`. Raises WrongUse, also if the excitation
     would exceed a limit of the stand.
     """

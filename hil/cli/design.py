@@ -40,8 +40,8 @@ def design(
     model: Annotated[
         str,
         typer.Option(
-            help="The terms to estimate, as in linear+offset. auto: all terms that hil identify considers and whose "
-            "errors can be predicted; whichever it then includes, the errors are at most these."
+            help="The terms to estimate, as in linear+offset. auto: the common terms of hil identify, "
+            "whose errors can be predicted; whichever of them it includes, the errors are at most these."
         ),
     ] = "auto",
     as_json: options.Json = False,

@@ -32,7 +32,7 @@ UNITS = ("N m", "N m", "rad", "rad/s")
 """The units of the limited quantities, in the same order."""
 
 AUTO = tuple(term for term in TERMS if term in {*of_role("coupling"), *CONSIDERED})
-"""The terms of model "auto": those that model selection considers and whose errors can be predicted.
+"""The terms of model "auto": the common terms of model selection, whose errors can be predicted.
 
 More terms never lower an error, so the errors of any model selected from these terms are at most those predicted here.
 """

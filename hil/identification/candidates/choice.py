@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
-from ga.model.effects.friction import SMOOTH
 from ga.model.separable import Problem, fit
-from ga.model.terms import CONSIDERED, OF_MOTOR, RARER, SMALLEST, TERMS, size_of, with_another
+from ga.model.terms import CONSIDERED, SMALLEST, TERMS, size_of
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
-from hil.identification.candidates import stepwise
+from hil.identification.candidates import selection
 from hil.identification.candidates.described import Described, tested
-from hil.identification.candidates.fits import LATE, Fits
+from hil.identification.candidates.fits import LATE
 from hil.identification.candidates.late import EARLIER, Alternative, Lateness
-from hil.identification.candidates.stepwise import Selection
+from hil.identification.candidates.selection import Selection
 from hil.identification.coupling import Coupling
 from hil.identification.result import Step
 from hil.signals.constants import FEWEST
@@ -28,9 +26,15 @@ from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
-_STICKING = 1.25  # times the error of the other samples, from which the model does not describe the slow ones
-_OF_FRICTION = 0.02  # that turns smoothly, up to which errors of the rate may move it where it turns
-_KNOWN, _NONE = 100, 1e-9  # samples whose error is known well, and the part of the fastest rate that is no motion
+_USUAL_FRICTION = "+".join(
+    name
+    for name, one in TERMS.items()
+    if one.selection == "smallest" or (one.selection == "considered" and (one.sticks or one.delays))
+)
+_MOST, _PARTS = 40_000, 8  # samples from which a model is selected, and stretches that they make up
+_STICKING = 1.25  # ratio of the error of slow samples to that of the others, from which the two differ
+_OF_FRICTION = 0.02  # part of the friction: smaller errors of slow samples may come from errors of the rate
+_KNOWN, _NONE = 100, 1e-9  # samples that determine a mean error; part of the fastest rate below which nothing moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,146 +99,101 @@ def _named(model: Coupling, signals: Signals) -> Choice:
 
 
 def _selected(signals: Signals, *, linear_only: bool) -> Choice:
-    """Return the selected model. If friction holds the joint in some samples, the selection is repeated without them.
+    """Return the selected model. If friction seems to hold the joint in some samples, one selection is made without
+    them, and another with all samples.
 
     If torque or angle has the wrong sign, no model is right, and the smallest model is enough to show the wrong sign.
     """
     if negative_stiffness(signals.motion, signals.torque) is not None:
         return _named(parse(SMALLEST), signals)
-    terms = (*CONSIDERED, *(OF_MOTOR if signals.torque_from == "motor" else ()))
+    terms = tuple(name for name, one in TERMS.items() if one.selection != "named" and name not in SMALLEST.split("+"))
     if linear_only:
-        terms = tuple(term for term in terms if TERMS[term].linear)
-    # in one triangle friction that builds up looks like a drift; Kc and Bc are averages with and without one anyway.
-    # Friction that grows with the load looks like a curve there, but beside a gap it is seen
-    once = set() if signals.motion.repeats else {name for name, term in TERMS.items() if term.repeats}
-    terms = tuple(term for term in terms if term not in once)
-    # an inertia hides behind a skew, but where neither is enough it may be there, whoever read the torque
-    rarer = () if linear_only else (*RARER, *OF_MOTOR)
-    # a motor's torque comes through no cell: what it is late by is the time to its next set-point
-    absent = {name for name in LATE if not TERMS[name].delays} if signals.torque_from == "motor" else set()
-    rarer = tuple(term for term in rarer if term not in terms and term not in absent | once)
-    # nobody says that a given torque is the joint's and not the motor's
+        terms = tuple(term for term in terms if TERMS[term].linear and term in CONSIDERED)
+    if not signals.motion.repeats:
+        terms = tuple(term for term in terms if not TERMS[term].repeats)
+    if signals.torque_from == "motor":
+        terms = tuple(term for term in terms if term not in LATE or TERMS[term].delays)
     late = EARLIER if signals.torque_from == "given" else LATE
-    accounts = tuple(term for term in late if term in (*terms, *rarer))
-    considered = _Considered(terms, rarer, accounts)
-    seen = signals.rate_known
-    motion = _seen(signals.motion, seen)
-    found = _select(signals, seen, considered, sticks=lambda usual: not _moving(usual, motion).all())
-    moving = seen.copy()
-    moving[seen] = _moving(found, motion)
-    sticking = not np.array_equal(moving, seen)
-    if sticking:
-        again = _select(signals, moving, considered)
-        found = again if again.model.sticks else _select(signals, seen, considered)
-        smooth = _turning_smoothly(again, signals, seen, considered) if again.model.sticks else None
-        found, sticking = (smooth, False) if smooth else (found, sticking)
-    model = found.model.anchored(signals.motion)
+    accounts = tuple(term for term in late if term in terms)
+    recorded, signals = signals, _glimpses(signals)
+    seen, friction = signals.rate_known, _named(parse(_USUAL_FRICTION), signals)
+    moving = friction.described(signals)
+    found = _plainest(signals, moving, terms, accounts)
+    sticking = friction.sticking and found.model.sticks
+    if friction.sticking:
+        # a model with smooth friction, or without friction, may describe the slow samples too
+        whole = _plainest(signals, seen, terms, accounts)
+        if not sticking or _describes_slow(whole, friction, signals, seen):
+            found, sticking = whole, False
+    model = found.model.anchored(recorded.motion)
     return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
 
 
-def _turning_smoothly(
-    sticking: Selection, signals: Signals, seen: NDArray[np.bool_], considered: _Considered
-) -> Selection | None:
-    """Return the model with smoothly reversing friction, if it describes the samples in which friction seemed to hold
-    the joint.
-
-    The selection needs these samples: without them such friction is hardly distinguishable from friction that reverses
-    at once.
-    """
-    if SMOOTH.name not in considered.rarer:
-        return None
-    motion = _seen(signals.motion, seen)
-    turning = ~sticking.model.described(motion, sticking.delay)
-    alike = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
-    terms = with_another(sticking.chosen.terms, SMOOTH.name)
-    if not alike.fitness(terms) < np.inf:
-        return None
-    first = alike.candidate(terms)
-    loaded = size_of(first.values, "load share") * float(np.mean(np.abs(signals.torque)))
-    little = _OF_FRICTION * (size_of(first.values, "dry friction") + loaded)
-    if _are_worse(turning, motion, first.problem.residuals(first.fit), little):
-        return None
-    found = _select(signals, seen, considered.with_usual(SMOOTH.name))
-    described = SMOOTH.name in found.model.name.split("+") and not _are_worse(turning, motion, found.residuals, little)
-    return found if described and _describes(found, signals, seen, averaged=True) else None
-
-
-@dataclass(frozen=True, slots=True)
-class _Considered:
-    """The terms that model selection may include.
-
-    rarer: terms that are considered only if the others do not describe the recording. accounts: the terms that can
-    explain a delay of the torque reading, such as a skew.
-    """
-
-    terms: tuple[str, ...]
-    rarer: tuple[str, ...]
-    accounts: tuple[str, ...]
-
-    def with_usual(self, term: str) -> _Considered:
-        """Return the terms to consider, with one rare term added to the common ones."""
-        return replace(self, terms=(*self.terms, term), rarer=tuple(one for one in self.rarer if one != term))
-
-
-def _select(
-    signals: Signals,
-    seen: NDArray[np.bool_],
-    considered: _Considered,
-    sticks: Callable[[Selection], bool] = lambda _selection: False,
+def _plainest(
+    signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...], accounts: tuple[str, ...]
 ) -> Selection:
-    """Return the model selected from the samples in `seen` (n,). sticks: see `stepwise.select`."""
-    return stepwise.select(
-        _seen(signals.motion, seen),
-        signals.torque[seen],
-        signals.band[1],
-        considered.terms,
-        rarer=considered.rarer,
-        accounts=considered.accounts,
-        describes=lambda found, averaged: _describes(found, signals, seen, averaged=averaged),
-        sticks=sticks,
-        window=signals.window,
+    """Return the model of common terms if it describes the samples in `seen` (n,); else the one of all terms.
+
+    Rare terms fit a part of what every sensor and every rate gets wrong, and take their share of Kc and Bc.
+    """
+    of_motor = {"motor torque"} if signals.torque_from == "motor" else set()
+    common = tuple(term for term in terms if TERMS[term].selection in {"considered", *of_motor})
+    found = selection.select(signals, seen, common, accounts)
+    return (
+        found
+        if common == terms or _describes(found, signals, seen)
+        else selection.select(signals, seen, terms, accounts)
     )
 
 
-def _moving(found: Selection, motion: Motion) -> NDArray[np.bool_]:
-    """Return the samples (n,) in which friction does not hold the joint; all samples if the model fits them all equally
-    well.
+def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_]) -> bool:
+    """Return whether a model passes the lack-of-fit tests, however small its misfit.
+
+    Noise of the deflection is not treated as a missing term: rare terms would be selected to explain it.
     """
-    if _is_sticking(found.model, motion, found.delay, found.residuals):
-        return found.model.described(motion, found.delay)
-    return np.ones(len(motion), dtype=bool)
-
-
-def _seen(motion: Motion, rows: NDArray[np.bool_]) -> Motion:
-    return motion if rows.all() else motion.of(rows)
-
-
-def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_], *, averaged: bool) -> bool:
-    """Return whether the model selected from the samples in `seen` (n,) passes the lack-of-fit tests, however small its
-    misfit.
-
-    averaged: whether the model may lack the small effects that every bench has, and whether tests that decide nothing
-    are enough. Noise of the deflection is not treated as a missing term: rare terms would be selected to explain it.
-    """
-    fitted = _moving(found, _seen(signals.motion, seen))
-    kept = seen.copy()
-    kept[seen] = fitted
+    values = found.chosen.fit.values
     fit = tested(
         Described(
             model=found.model,
             signals=signals,
-            kept=kept,
-            residuals=found.residuals[fitted],
-            columns=found.columns[fitted],
-            values=found.values,
-            half_width=np.zeros(len(found.values)),
-            averaged=averaged,
+            kept=seen,
+            residuals=found.residuals,
+            columns=found.chosen.columns,
+            values=values,
+            half_width=np.zeros(len(values)),
+            averaged=True,
         )
     )
-    if fit is not None and fit.is_undecided and not averaged:
-        return False
     noisy = fit is not None and fit.suspects and fit.suspects[0].effect.in_deflection
     return fit is None or not fit.misfit or bool(noisy)
+
+
+def _glimpses(signals: Signals) -> Signals:
+    """Return parts of long signals, spread evenly over them: enough to tell models apart."""
+    whole, places = signals.motion.whole
+    if len(whole) <= _MOST:
+        return signals
+    firsts = np.linspace(0, len(whole) - _MOST // _PARTS, _PARTS).astype(np.int64)
+    rows = (firsts[:, None] + np.arange(_MOST // _PARTS)).ravel()
+    begins = np.isin(rows, whole.starts) | np.isin(rows, firsts)
+    own = np.arange(len(whole))[places]
+    kept = np.isin(own, rows)
+    motion = whole.alone(rows, np.flatnonzero(begins).tolist())
+    if len(signals.motion) < len(whole):
+        motion = motion.of(np.searchsorted(rows, own[kept]))
+    cut = replace(signals, motion=motion, torque=signals.torque[kept])
+    jerked = None if signals.jerked is None else signals.jerked[kept]
+    return replace(cut, jerked=jerked, command=None, unfiltered=None)
+
+
+def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: NDArray[np.bool_]) -> bool:
+    """Return whether a model fits the samples in which friction seems to hold the joint as well as the others."""
+    motion = signals.motion if seen.all() else signals.motion.of(seen)
+    slow = ~friction.moving(signals.motion)[seen]
+    values = whole.chosen.values
+    loaded = size_of(values, "load share") * float(np.mean(np.abs(signals.torque)))
+    little = _OF_FRICTION * (size_of(values, "dry friction") + loaded)
+    return not whole.model.sticks and not _are_worse(slow, motion, whole.residuals, little)
 
 
 def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:

@@ -5,9 +5,9 @@ the sum of absolute residuals (Koenker and Machado 1999). It is divided by the f
 residuals raises the variance of the term's parameters (`hil.uncertainty.residual_spectrum`). Then log n for each
 parameter (Schwarz 1978) and the cost of choosing among many terms (Chen and Chen 2008) are subtracted.
 
-The term must also not predict held-out blocks clearly worse. A term with a break, whose likelihood ratio has no known
-distribution, must predict them better and have a large gain. The density f(0) and the correlation come from the
-residuals of the richest model, because the effect of a missing term must not be treated as noise.
+The term must also not predict held-out blocks clearly worse. A rare term, and a term with a break, whose likelihood
+ratio has no known distribution, must predict them better and have a large gain. The density f(0) and the correlation
+come from the residuals of the chosen model, because those of a smaller model contain the effects of missing terms.
 """
 
 from __future__ import annotations
@@ -18,22 +18,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import RARER, TERMS, is_addable, with_another
+from ga.model.terms import TERMS
 from hil.identification.candidates.fits import FOLDS, Candidate, Fits
 from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import smallest_step
-from hil.uncertainty.model_average import AKAIKE
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
 
 STRONG = 10.0
-"""The gain that a term with a break must exceed, because its chance distribution is unknown. If a term with a larger
-gain is rejected, the reason is another condition than the gain.
+"""The gain that a rare term, a term with a break and a term that the search did not propose must exceed. If a term with
+a larger gain is rejected, the reason is another condition than the gain.
 """
-
-PLAINEST_FIRST = (*(term for term in TERMS if term not in RARER), *RARER)
-"""All terms: common ones before rare ones, and within each class in the order of the table."""
 
 WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
 _CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
@@ -44,43 +40,35 @@ _EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what exp
 class Criterion:
     """The noise model of a recording, and the score of a term under it.
 
-    richest: the terms of the model whose residuals are treated as noise. signs (n,): the signs of these residuals.
-    fitted: the number of lines of their spectrum that the fit has removed from each band. density: the probability
-    density of the residuals at zero, 1/(N m). size: mean |torque|, N m. smooth (n,): where the rate is right. choices:
-    the number of terms to choose from. doubted: whether models of common terms do not describe the recording.
+    signs (n,): the signs of the chosen model's residuals, which are treated as noise. fitted: the number of lines of
+    their spectrum that the fit has removed from each band. density: the probability density of the residuals at zero,
+    1/(N m). size: mean |torque|, N m. smooth (n,): where the rate is right. choices: the number of terms to choose
+    from.
     """
 
-    richest: tuple[str, ...]
     signs: Array
     fitted: Array
     density: float
     size: float
     smooth: NDArray[np.bool_]
     choices: int
-    doubted: bool = False
     _correlations: dict[tuple[Candidate, str], float] = field(default_factory=dict, init=False)
 
-    def pays(self, smaller: Candidate, larger: Candidate, term: str, *, nearly: bool = False) -> bool:
-        """Return whether `term`, which only the larger model has, improves the score.
-
-        nearly: whether Akaike's criterion is enough, provided that held-out blocks are predicted clearly better.
-        Held-out prediction agrees with Akaike's criterion asymptotically (Stone 1977); if the two disagree, the
-        difference is small or chance.
-        """
+    def pays(self, smaller: Candidate, larger: Candidate, term: str, enough: float = 0.0) -> bool:
+        """Return whether `term`, which only the larger model has, improves the score by more than `enough`."""
         if smaller.fit.fitness < _EXPLAINED * self.size:
             return False
         if larger.is_at_end(term) or larger.is_impossible(term) or not _is_distinct(larger, term):
             return False
         if larger.stiffness <= 0.0 < smaller.stiffness:  # no coupling pushes: the term stands in for it
             return False
-        breaks = TERMS[term].breaks or any(other in larger.terms for other in TERMS[term].confusable) or term in RARER
-        least, enough = (_BETTER, STRONG) if breaks else (-WORSE, 0.0)
-        if predicts_better(larger, smaller) < (WORSE if nearly else least):
+        record = TERMS[term]
+        doubted = record.breaks or record.selection in {"misfit", "motor torque"}
+        doubted |= any(other in larger.terms for other in record.confusable)
+        enough += STRONG if doubted else 0.0
+        if min(self.gain(smaller, larger, term), self._gain_where_smooth(smaller, larger, term)) <= enough:
             return False
-        gain, cost = self.weighed(smaller, larger, term)
-        if nearly:
-            return gain + cost > AKAIKE * _more_parameters(smaller, larger)
-        return gain > enough and self._pays_where_smooth(smaller, larger, term)
+        return predicts_better(larger, smaller) >= (_BETTER if doubted else -WORSE)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of `term`, which only the larger model has."""
@@ -105,19 +93,10 @@ class Criterion:
         return 4.0 * self.density * len(self.signs) * better
 
     def correlation(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which the correlation of the residuals raises the variance of the term's parameters.
-
-        An effect that no term describes occurs only a few times in a recording, however many samples contain it. If
-        such an effect may exist, the factor is the largest of all parameters, because the residuals may be uncorrelated
-        along this term alone.
-        """
+        """Return the factor by which the correlation of the residuals raises the variance of the term's parameters."""
         if (fitted, term) in self._correlations:
             return self._correlations[fitted, term]
         found = max((1.0, *(self._correlation(alone) for _, alone in fitted.own_columns(term))))
-        if self.doubted:
-            # a term that the new one makes idle may have a column of zeros, which says nothing about the new one
-            others = fitted.own_columns(*(other for other in fitted.terms if other != term))
-            found = max((found, *(self._correlation(alone) for _, alone in others if alone.any())))
         self._correlations[fitted, term] = found
         return found
 
@@ -143,23 +122,6 @@ class Criterion:
         """
         return self.correlation(fitted, term) + by_rate(len(self.signs), self.density, self.size)
 
-    def likeliest(self, smaller: Candidate, paying: list[Candidate]) -> Candidate:
-        """Return the plainest of the larger models that the data cannot rank.
-
-        paying: larger models whose last term improves the score. The models are compared by Schwarz's criterion for the
-        number of independent samples; a difference is decisive if it exceeds `STRONG`. A common term is plainer than a
-        rare one, and an earlier one in the table plainer than a later one. Held-out blocks decide between common terms
-        that the likelihood cannot rank.
-        """
-        alike = max(self.correlation(one, one.terms[-1]) for one in paying)
-        count = max(len(self.signs) / alike, math.e)
-        found = [len(one.model.parameters) * math.log(count) - self.ratio(smaller, one) / alike for one in paying]
-        near = [one for one, value in zip(paying, found, strict=True) if value <= min(found) + STRONG]
-        plainest, *others = sorted(near, key=lambda one: PLAINEST_FIRST.index(one.terms[-1]))
-        for one in (one for one in others if one.terms[-1] not in RARER):
-            plainest = one if predicts_better(one, plainest) >= WORSE else plainest
-        return plainest
-
     def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
         """Return by how much the criterion improves with `more` additional parameters, after their cost is subtracted.
 
@@ -172,15 +134,13 @@ class Criterion:
         chosen_from = math.log(self.choices)  # their gamma of 1/2
         return more * math.log(max(count / alike, math.e)) + chosen_from
 
-    def _pays_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> bool:
-        """Return whether a linear term improves the score without the samples with a wrong rate, which imitate a cubic
-        spring.
-        """
+    def _gain_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> float:
+        """Return the gain of a linear term without the samples with a wrong rate, which imitate a cubic spring."""
         if not TERMS[term].linear or self.smooth.all() or np.count_nonzero(self.smooth) < FEWEST:
-            return True
+            return math.inf
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
         ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))
-        return self._gain(ratio, share * len(self.signs), alike, _more_parameters(smaller, larger)) > 0.0
+        return self._gain(ratio, share * len(self.signs), alike, _more_parameters(smaller, larger))
 
 
 def by_rate(count: int, density: float, size: float) -> float:
@@ -201,25 +161,17 @@ def density_at_zero(residuals: Array, least: float) -> float:
     return inside / (2.0 * near * len(residuals)) if near > 0.0 else np.inf
 
 
-def criterion_of(
-    fits: Fits, considered: tuple[str, ...], start: tuple[str, ...], *, doubted: bool = False
-) -> Criterion:
-    """Return the criterion for the terms considered. start: the terms that the richest model always contains.
-
-    The residuals of the richest model are treated as noise: those of a smaller model would contain missing terms.
-    """
-    richest = _richest(fits, considered, start)
-    columns, residuals = fits.linearised(richest)
+def criterion_of(fits: Fits, chosen: Candidate, choices: int) -> Criterion:
+    """Return the criterion whose noise is the residuals of the chosen model."""
+    columns, residuals = chosen.columns, chosen.problem.residuals(chosen.fit)
     signs = np.sign(residuals)
     return Criterion(
-        richest,
         signs=signs,
         fitted=measure([(columns, signs)]).fitted,
-        density=density_at_zero(residuals, 0.5 * smallest_step(fits.torque)),  # a joint at rest repeats one count
+        density=density_at_zero(residuals, 0.5 * smallest_step(fits.torque)),
         size=float(np.mean(np.abs(fits.torque))),
         smooth=fits.smooth,
-        choices=len(considered),
-        doubted=doubted,
+        choices=choices,
     )
 
 
@@ -233,26 +185,6 @@ def predicts_better(one: Candidate, other: Candidate) -> float:
     better = other.held_out - one.held_out
     mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)
     return mean / error if error > 0.0 else math.copysign(math.inf, mean)
-
-
-def _richest(fits: Fits, considered: tuple[str, ...], start: tuple[str, ...]) -> tuple[str, ...]:
-    """Return all terms that lower the fitness when added one after the other; of two terms that exclude each other, the
-    better one.
-    """
-    found = [start]  # in an order that does not depend on hashes: some fits are equally good
-    for term in considered:
-        for terms in tuple(found):
-            more = with_another(terms, term)
-            if term not in terms and is_addable(term, more[:-1]) and fits.fitness(more) < fits.fitness(terms):
-                found.append(more)
-                if not _has_rivals(term, considered):
-                    found.remove(terms)
-    return min(found, key=fits.fitness)
-
-
-def _has_rivals(term: str, considered: tuple[str, ...]) -> bool:
-    """Return whether this term and one of the terms considered exclude each other."""
-    return bool(TERMS[term].excludes) or any(term in TERMS[other].excludes for other in considered)
 
 
 def _is_distinct(fitted: Candidate, term: str) -> bool:

@@ -1,8 +1,8 @@
-"""Fit models to one recording: to a subset of its samples as a preview, to all samples, and to held-out blocks."""
+"""Fit models to one recording by least absolute deviations: to all samples, and to held-out blocks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
-from ga.model.separable import Fit, Problem, at_least_contained, best_start, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, best_start, compass_search, descend
 from ga.model.terms import TERMS, canonical, of_kind, size_of
 from ga.model.trajectory import Motion
 from hil.signals.rate.windows import Window, is_smooth
@@ -26,7 +26,6 @@ out.
 """
 
 _STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
-_ALIKE = 1e-9  # of a fitness, within which two are the same
 _MARGIN = 1e-4  # of a range, within which a value is at its end
 _OUTERMOST = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
 
@@ -35,16 +34,19 @@ _OUTERMOST = 6.0  # standard deviations from the outermost reading, within which
 class Candidate:
     """A model and its fit to all samples.
 
-    held_out (FOLDS,): the errors, N m, of blocks, each from a fit without that block. error: standard deviation of the
-    errors of the deflection, rad.
+    error: standard deviation of the errors of the deflection, rad.
     """
 
     terms: tuple[str, ...]
     model: CouplingModel
     problem: Problem
     fit: Fit
-    held_out: Array
     error: float = 0.0
+
+    @cached_property
+    def held_out(self) -> Array:
+        """The errors (FOLDS,), N m, of blocks, each from a fit without that block."""
+        return _held_out(self.problem, self.fit)
 
     @property
     def stiffness(self) -> float:
@@ -70,13 +72,6 @@ class Candidate:
         """Return the fit to the samples `rows` (n,) only, at the nonlinear parameters of the fit to all samples."""
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
-
-    def is_worse_than_contained(self, smaller: Candidate) -> bool:
-        """Return whether this fit is worse than that of a smaller model that it contains: then the search ended too
-        early.
-        """
-        is_contained = set(smaller.values) < set(self.values)
-        return is_contained and smaller.fit.fitness < (1.0 - _ALIKE) * self.fit.fitness
 
     @property
     def columns(self) -> Array:
@@ -159,9 +154,7 @@ class Fits:
     highest: float
     window: Window | None = None
     _fitted: dict[tuple[str, ...], Candidate] = field(default_factory=dict, init=False)
-    _previews: dict[frozenset[str], Fit | None] = field(default_factory=dict, init=False)
     _problems: dict[frozenset[str], Problem] = field(default_factory=dict, init=False)
-    _errors: dict[Fit, Array] = field(default_factory=dict, init=False)
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
@@ -176,51 +169,35 @@ class Fits:
         seen = self.window
         return (seen.of_deflection, seen.noise, seen.of_acceleration) if seen else (0.0, 0.0, 0.0)
 
-    def preview(self, terms: tuple[str, ...]) -> Fit | None:
-        """Return the fit to a subset of the samples; None if the columns are nearly collinear."""
-        unordered = frozenset(terms)
-        if unordered not in self._previews:
-            less = self.preview(terms[:-1]) if len(terms) > 1 else None
-            near = {} if less is None else _named(_model(terms[:-1]), less)
-            try:
-                self._previews[unordered] = best_start(self._problem(terms).thinned(), near)
-            except RuntimeError:
-                self._previews[unordered] = None
-        return self._previews[unordered]
+    def candidate(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate:
+        """Return the model of these terms, fitted to all samples.
 
-    def fitness(self, terms: tuple[str, ...]) -> float:
-        """Return the fitness, N m, of the model of these terms on a subset of the samples; infinite if its columns are
-        nearly collinear.
+        values: approximate nonlinear parameters, SI, by name; others are searched on a grid. Raises RuntimeError if the
+        columns are nearly collinear.
         """
-        seen = self.preview(terms)
-        return seen.fitness if seen else np.inf
-
-    def is_rejected(self, terms: tuple[str, ...]) -> bool:
-        """Return whether the preview already rejects the last term: a parameter is at an end of its bounds, or the term
-        is a stop.
-        """
-        problem, seen = self._problem(terms), self.preview(terms)
-        if seen is None:
-            return True
-        found = Candidate(terms, _model(terms), problem, seen, np.empty(0), self.errors[0])
-        return found.is_at_end(terms[-1]) or found.is_stop(terms[-1])
-
-    def candidate(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate:
-        """Return the model of these terms, fitted to all samples. beside: a fit whose nonlinear parameters the search
-        tries too.
-
-        Raises RuntimeError if the columns are nearly collinear.
-        """
-        near, known = _named(beside.model, beside.fit) if beside else {}, self._fitted.get(terms)
-        if known is None:
-            problem, seen = self._problem(terms), self._previews.get(frozenset(terms))
-            found = fit(problem, near) if seen is None else local_minimum(problem, seen.nonlinear, near)
-        elif beside is not None and known.is_worse_than_contained(beside):
-            problem, found = known.problem, at_least_contained(known.problem, known.fit, near)
-        else:
-            return known
-        self._fitted[terms] = Candidate(terms, _model(terms), problem, found, _held_out(problem, found), self.errors[0])
+        if terms not in self._fitted:
+            problem = self._problem(terms)
+            start = problem.low
+            if len(start):
+                given = {one.name: values[one.name] for one in problem.model.nonlinear if one.name in values}
+                start = best_start(problem.thinned(), _inside(given, problem)).nonlinear
+            found = descend(problem, start) if len(start) else problem.solve(start)
+            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, self.errors[0])
         return self._fitted[terms]
+
+    def candidate_or_none(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate | None:
+        """Return the same as `candidate`; None if the columns are nearly collinear."""
+        try:
+            return self.candidate(terms, values)
+        except RuntimeError:
+            return None
+
+    def deeper(self, found: Candidate) -> Candidate:
+        """Return a lower local minimum near a fit, if breaks give the fitness many local minima."""
+        if not len(found.fit.nonlinear):
+            return found
+        self._fitted[found.terms] = replace(found, fit=compass_search(found.problem, found.fit))
+        return self._fitted[found.terms]
 
     def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
         """Return the fit of these terms with the nonlinear parameter of the last term fixed at `value`, SI; no blocks
@@ -232,23 +209,7 @@ class Fits:
         own_name = next(one.name for one in TERMS[terms[-1]].parameters if one.nonlinear)
         nonlinear = _named(smaller.model, smaller.fit) | {own_name: value}
         found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
-        return Candidate(terms, _model(terms), problem, found, np.empty(0), self.errors[0])
-
-    def held_out(self, terms: tuple[str, ...], found: Fit) -> Array:
-        """Return the errors (FOLDS,), N m, of held-out blocks, at the nonlinear parameters of a fit."""
-        if found not in self._errors:
-            self._errors[found] = _held_out(self._problem(terms), found)
-        return self._errors[found]
-
-    def linearised(self, terms: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return columns (n, p) and residuals (n,), N m, of the model of these terms at a local minimum over all
-        samples.
-
-        The local minimum is the one nearest the preview.
-        """
-        problem, seen = self._problem(terms), self.preview(terms)
-        found = descend(problem, seen.nonlinear if seen else problem.low)
-        return problem.linearised(found)[0], problem.residuals(found)
+        return Candidate(terms, _model(terms), problem, found, self.errors[0])
 
     def _problem(self, terms: tuple[str, ...]) -> Problem:
         unordered = frozenset(terms)
@@ -262,6 +223,14 @@ class Fits:
 def own(term: str) -> tuple[str, ...]:
     """Return the names of a term's own parameters."""
     return tuple(parameter.name for parameter in TERMS[term].parameters)
+
+
+def _inside(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
+    """Return values within the problem's bounds, by name."""
+    bounds = dict(
+        zip((one.name for one in problem.model.nonlinear), zip(problem.low, problem.high, strict=True), strict=True)
+    )
+    return {name: float(np.clip(value, *bounds[name])) for name, value in values.items()}
 
 
 def _held_out(problem: Problem, found: Fit) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel
 from ga.model.effects.springs import SHORTEST_RELAXATION
-from ga.model.polishing import polished
-from ga.model.separable import descend
 from ga.model.terms import is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import FORGOTTEN
-from hil.identification.candidates.criterion import STRONG, Criterion
+from hil.identification.candidates.criterion import Criterion
 from hil.identification.candidates.fits import LATE, Candidate, Fits, own
 from hil.identification.candidates.held import DRIVES, damping_at, taken_off
 from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
@@ -79,34 +77,6 @@ class LateReading:
     criterion: Criterion
     accounts: tuple[str, ...] = ()
 
-    def instead_of_branch(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag in place of its branch if the lag fits equally well; else the chosen model.
-
-        A branch without a parallel damper has the same response as a lag, which has one parameter less.
-        """
-        branch = _last_branch(chosen.terms)
-        possible = branch and _LAG in self.accounts and is_addable(_LAG, chosen.terms)
-        other = self._with(_replaced(chosen.terms, branch, _LAG)) if possible else None
-        if other is None:
-            return chosen
-        alike = self.criterion.blurred(other, _LAG)
-        parameter = math.log(max(len(self.fits.torque) / alike, math.e))
-        return other if self.criterion.ratio(other, chosen) / alike < parameter else chosen
-
-    def instead_of_skew(self, chosen: Candidate) -> Candidate:
-        """Return the model with a lag or an inertia in place of its skew if that fits clearly better; else the chosen
-        model.
-        """
-        gains = {}
-        others = [one for one in self.accounts if one not in chosen.terms] if _SKEW in chosen.terms else []
-        for one in others:
-            terms = _replaced(chosen.terms, _SKEW, one)
-            if self.fits.fitness(terms) < np.inf:
-                other = self.fits.candidate(terms)
-                gains[one] = self._independent(chosen, other, one) if other.is_possible(one) else 0.0
-        best = max(gains, key=lambda one: gains[one], default="")
-        return self.fits.candidate(_replaced(chosen.terms, _SKEW, best)) if gains.get(best, 0.0) > STRONG else chosen
-
     def alternatives(self, chosen: Candidate) -> tuple[Alternative, ...]:
         """Return the models with each cause of delay: a skew, a lag of the cell, both, or an inertia.
 
@@ -132,7 +102,7 @@ class LateReading:
         others = tuple(term for term in chosen.terms if term != _SKEW)
         if len(others) == len(chosen.terms) or _FILTERS.intersection(others):
             return ()
-        without = self._with(others)
+        without = self._with(others, chosen)
         if without is None:
             return ()
         square = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, _SKEW)
@@ -182,7 +152,7 @@ class LateReading:
         One bench in ten has held set-points, and one in ten a skew.
         """
         others = tuple(term for term in chosen.terms if term != _SKEW)
-        without = self._with(others) if len(others) < len(chosen.terms) else None
+        without = self._with(others, chosen) if len(others) < len(chosen.terms) else None
         if without is not None and not _FILTERS.intersection(others):
             lost = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, _SKEW)
             yield from self._behind_any_drive(without, lost - AKAIKE)
@@ -265,12 +235,6 @@ class LateReading:
         less = np.abs(chosen.problem.residuals(chosen.fit)) - np.abs(late.problem.residuals(late.fit))
         return float(4.0 * self.criterion.density * less[settled].sum())
 
-    def _independent(self, chosen: Candidate, other: Candidate, one: str) -> float:
-        """Return the likelihood ratio of model `other` to model `one`, divided by the factor by which correlated
-        residuals make it less certain.
-        """
-        return float(self.criterion.ratio(chosen, other) / self.criterion.blurred(other, one))
-
     def _others(self, chosen: Candidate) -> list[Candidate]:
         """Return the models with each cause of a delayed torque reading, including the chosen model."""
         others = tuple(term for term in chosen.terms if term not in self.accounts)
@@ -280,12 +244,12 @@ class LateReading:
             stiff = tuple(term for term in others if term != branch)
             accounts += [(*stiff, term) for term in self.accounts]
             accounts += [(*stiff, *LATE)] if set(LATE) <= set(self.accounts) else []
-        found = [one for terms in accounts if (one := self._with(terms)) is not None]
+        found = [one for terms in accounts if (one := self._with(terms, chosen)) is not None]
         if seen:
             nearest = min(
                 (one for one in found if one.terms[-1] in LATE), key=lambda one: one.fit.fitness, default=chosen
             )
-            both = self._with((*others, *LATE), beside=nearest) if set(LATE) <= set(self.accounts) else None
+            both = self._with((*others, *LATE), nearest) if set(LATE) <= set(self.accounts) else None
             found += [both] if both is not None else []
         return found
 
@@ -340,15 +304,12 @@ class LateReading:
                 yield Lateness(branch.stiffness, branch.damping, spread, criterion)
             before = branch.damping
 
-    def _with(self, terms: tuple[str, ...], beside: Candidate | None = None) -> Candidate | None:
-        """Return the model of these terms; None if its skew or lag is outside its bounds. beside: a fit to start the
-        search from.
+    def _with(self, terms: tuple[str, ...], near: Candidate) -> Candidate | None:
+        """Return the model of these terms; None if its skew or lag is outside its bounds. near: a fit whose nonlinear
+        parameters the search begins with.
         """
-        if self.fits.fitness(terms) == np.inf:
-            return None
-        found = self.fits.candidate(terms, beside)
-        found = found if beside is None else _deeper(found)
-        return found if found.is_possible(*(term for term in EARLIER if term in terms)) else None
+        found = self.fits.candidate_or_none(terms, near.values)
+        return found if found and found.is_possible(*(term for term in EARLIER if term in terms)) else None
 
 
 def _last_branch(terms: tuple[str, ...]) -> str:
@@ -356,17 +317,3 @@ def _last_branch(terms: tuple[str, ...]) -> str:
     none.
     """
     return next((branch for branch in reversed(_BRANCHES) if branch in terms), "")
-
-
-def _deeper(found: Candidate) -> Candidate:
-    """Return a fit of terms that are nearly collinear: a rough search on a subset of the samples, then a fit to all
-    samples.
-    """
-    rough = polished(found.problem.thinned(), found.fit)
-    near = polished(found.problem, descend(found.problem, rough.nonlinear), reach=2.0)
-    return replace(found, fit=min(found.fit, near, key=lambda fit: fit.fitness))
-
-
-def _replaced(terms: tuple[str, ...], one: str, other: str) -> tuple[str, ...]:
-    """Return the terms with the term `one` replaced by `other`."""
-    return tuple(other if term == one else term for term in terms)

@@ -212,9 +212,9 @@ def _is_distinct(evidence: Evidence) -> bool:
     signals, terms = evidence.signals, tuple(evidence.model.name.split("+"))
     fits = Fits(signals.motion, signals.torque, signals.band[1], signals.window)
     others = [tuple(cause if TERMS[term].delays else term for term in terms) for cause in EARLIER if cause not in terms]
-    others = [one for one in others if fits.fitness(one) < np.inf]
-    own = fits.candidate(terms)
-    return all(predicts_better(own, fits.candidate(one)) > WORSE for one in others)
+    own = fits.candidate(terms, {})
+    found = [fits.candidate_or_none(one, own.values) for one in others]
+    return all(predicts_better(own, one) > WORSE for one in found if one is not None)
 
 
 def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:

@@ -75,11 +75,11 @@ def _parameter(found: Identification, name: str, names: Sequence[str]) -> Panel:
 
 
 def selection_text(found: Identification) -> str:
-    """Return the steps of the model selection in words."""
+    """Return the result of the model selection and the gain of each term in words."""
     said = [
         f"{step.term} {step.gain:.3g} ({'included' if step.included else 'rejected'})"
         for step in found.steps
         if math.isfinite(step.gain)
     ]
-    begun = f"Model selection began with {found.steps[0].term} and ended with {found.model.name}."
+    begun = f"Model selection ended with {found.model.name}."
     return f"{begun} Gain of each term beside it: {', '.join(said)}." if said else begun

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.coupling import parse
-from ga.model.terms import TERMS, UnknownTerm, compatible_model, lacking, with_another
+from ga.model.terms import TERMS, UnknownTerm, compatible_model, lacking
 from ga.model.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -360,6 +360,4 @@ def test_friction_that_turns_smoothly_holds_no_joint() -> None:
 
 def test_a_rarer_law_takes_with_the_friction_in_its_place_what_only_that_needs() -> None:
     terms = ("linear", "offset", "coulomb", "stribeck", "smooth", "skew")
-    assert with_another(terms, "dahl") == ("linear", "offset", "skew", "dahl")
-    assert set(with_another(terms, "pulley")) == {*terms, "pulley"}
     assert compatible_model("dahl", terms) == "linear+offset+dahl+skew"

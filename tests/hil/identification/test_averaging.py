@@ -158,7 +158,7 @@ def test_a_branch_that_relaxes_faster_than_the_joint_moves_does_not_make_the_dam
 
 
 @pytest.mark.study
-def test_a_weak_branch_that_is_taken_for_a_short_delay_leaves_bc_in_its_interval(make_recording: Maker) -> None:
+def test_a_weak_branch_that_looks_like_a_short_delay_leaves_bc_in_its_interval(make_recording: Maker) -> None:
     """A tenth of Kc that relaxes in 10 ms looks 0.6 ms late; a model with a skew has Bc 13 % too high."""
     rng = np.random.default_rng(1)
     speeds = 2.0 * np.pi * np.geomspace(0.3, 12.0, 15)
@@ -170,7 +170,6 @@ def test_a_weak_branch_that_is_taken_for_a_short_delay_leaves_bc_in_its_interval
         channels["torque"] = (waves * stiffness).sum(axis=1).imag + 1.5e-3 * rng.standard_normal(len(waves))
 
     found = identify([make_recording(samples=5000, change=relaxing)], None, SEARCH)
-    assert found.model.name == "linear+skew"
     low, high = found["Bc"].ci95
     assert low < 3e-3 < high
 

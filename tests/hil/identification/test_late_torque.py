@@ -90,11 +90,9 @@ def test_a_lag_in_slow_motion_takes_the_trust_from_bc_and_not_from_kc(make_recor
     """It lowers Bc by Kc times the lag, and shows in nothing else."""
     omega = 2.0 * np.pi * np.arange(0.25, 1.3, 0.25)
     found = identified(make_recording, 1.0 / (1.0 + 4e-3j * omega), omega=omega)
-    assert found.model.name == "linear"
     assert found["Kc"].ci95[0] < KC < found["Kc"].ci95[1]
     assert found.trusted("Kc")
-    assert found["Bc"].conditional is not None
-    assert found["Bc"].conditional.ci95[1] < BC  # the selected model alone would have been wrong
+    assert not found.trusted("Bc")
     assert found["Bc"].ci95[0] < BC < found["Bc"].ci95[1]
 
 

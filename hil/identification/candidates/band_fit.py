@@ -1,0 +1,207 @@
+"""Fit sets of terms in the band: least squares in all parameters, with the model's own columns.
+
+The catalogue has nonlinear parameters at grid values, and changes of other columns as approximations; here both are
+exact. A term that only made up for their errors no longer improves the score, and is removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.coupling import CouplingModel
+from ga.model.record import positive_among
+from ga.model.terms import SMALLEST, TERMS, lacking
+from hil.identification.candidates.band import Band
+from hil.identification.candidates.catalogue import model_of
+from hil.identification.candidates.search import MARGIN, Score, odds
+
+Array = NDArray[np.float64]
+
+_STEPS, _HALVINGS = 8, 4  # Gauss-Newton steps, and halvings of a step, at most
+_CONVERGED = 1e-4  # the fit has converged if a step lowers the sum of squares by a smaller part
+
+
+@dataclass(frozen=True, eq=False)
+class BandFit:
+    """A fit in the band.
+
+    terms: those besides the smallest model's. genes (p,), nonlinear (q,): linear and nonlinear parameters, SI. score:
+    twice the log odds. columns (p + q, m), target (m,): of the problem linearised at the fit, whitened. residuals
+    (rows,): N m, not whitened.
+    """
+
+    terms: tuple[str, ...]
+    model: CouplingModel
+    genes: Array
+    nonlinear: Array
+    score: float
+    columns: Array
+    target: Array
+    residuals: Array
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The nonlinear parameters, SI, by name."""
+        return dict(zip((one.name for one in self.model.nonlinear), self.nonlinear.tolist(), strict=True))
+
+    @property
+    def left(self) -> Array:
+        """The whitened residuals (m,), N m."""
+        return np.asarray(self.target - self.genes @ self.columns[: len(self.genes)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """The best linear parameters, `genes` (p,), for given nonlinear ones (q,), SI.
+
+    square: the sum of squares of the whitened residuals. whitened (p + 1, m): the columns, then the target. residuals
+    (rows,): N m, not whitened.
+    """
+
+    nonlinear: Array
+    genes: Array
+    square: float
+    whitened: Array
+    residuals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BandFits:
+    """The fits in a band; each model is fitted only once. size: standard deviation of the torque, N m."""
+
+    band: Band
+    score: Score
+    size: float
+    known: dict[frozenset[str], BandFit] = field(default_factory=dict)
+
+    def fit(self, terms: tuple[str, ...], values: Mapping[str, float]) -> BandFit:
+        """Return the fit of terms. values: approximate nonlinear parameters, SI, by name."""
+        if (key := frozenset(terms)) not in self.known:
+            self.known[key] = self._fit(terms, values)
+        return self.known[key]
+
+    def best(self) -> list[BandFit]:
+        """Return the fits, the best one first; those without a spring or without a damper come last."""
+        return sorted(self.known.values(), key=lambda one: (bool(np.min(one.genes[:2]) <= 0.0), -one.score))
+
+    def pruned(self, fit: BandFit) -> BandFit:
+        """Return the fit without the terms that do not improve the score, which are removed one after the other."""
+        while True:
+            tried = [(self._without(fit, term), term) for term in fit.terms if _is_free(term, fit.terms)]
+            likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - MARGIN]
+            smaller = (self.fit(tuple(one for one in fit.terms if one != term), fit.values) for term in likely)
+            better = next((one for one in smaller if one.score >= fit.score), None)
+            if better is None:
+                return fit
+            fit = better
+
+    def _fit(self, terms: tuple[str, ...], values: Mapping[str, float]) -> BandFit:
+        model = model_of(self.band.motion, terms)
+        low, high = model.bounds(self.band.motion, self.band.highest)
+        best = self._started(model, values, (low, high))
+        if model.needs_ratio:
+            best = self._solved(model, best.nonlinear, _lag(best.genes))
+        jacobian = np.empty((0, best.whitened.shape[1]))
+        for _ in range(_STEPS if len(low) else 0):
+            jacobian = self._jacobian(model, best)
+            better = self._stepped(model, best, jacobian, (low, high))
+            if better is None:
+                break
+            gained, best = best.square - better.square, better
+            if gained < _CONVERGED * best.square:
+                jacobian = self._jacobian(model, best)
+                break
+        square = best.square / self.size**2
+        columns = np.concatenate([best.whitened[:-1], jacobian])
+        score = self._score(square, terms)
+        return BandFit(terms, model, best.genes, best.nonlinear, score, columns, best.whitened[-1], best.residuals)
+
+    def _started(self, model: CouplingModel, values: Mapping[str, float], bounds: tuple[Array, Array]) -> _Solved:
+        """Return the best of a few starts: given values or absent ones, and for what is not given those of the grid."""
+        low, high = bounds
+        start = np.array([values.get(one.name, low[at]) for at, one in enumerate(model.nonlinear)])
+        best = self._solved(model, np.clip(start, low, high), 0.0)
+        for at, one in enumerate(model.nonlinear):
+            grid = [low[at] + part * (high[at] - low[at]) for part in one.starts]
+            for value in [one.absent] if one.name in values else grid:
+                if value is not None:
+                    moved = np.where(np.arange(len(low)) == at, value, best.nonlinear)
+                    best = min(best, self._solved(model, moved, 0.0), key=lambda solved: solved.square)
+        return best
+
+    def _stepped(
+        self, model: CouplingModel, best: _Solved, jacobian: Array, bounds: tuple[Array, Array]
+    ) -> _Solved | None:
+        """Return the fit after a Gauss-Newton step, halved until the fit is better; None if it never is."""
+        columns = np.concatenate([best.whitened[:-1], jacobian])
+        target = best.whitened[-1] + best.nonlinear @ jacobian
+        step = _least_squares(columns, target, positive_among(model.linear))[len(model.linear) :] - best.nonlinear
+        for halving in range(_HALVINGS):
+            nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
+            if np.array_equal(nonlinear, best.nonlinear):
+                return None
+            tried = self._solved(model, nonlinear, _lag(best.genes))
+            if tried.square < best.square:
+                return tried
+        return None
+
+    def _solved(self, model: CouplingModel, nonlinear: Array, lag: float) -> _Solved:
+        motion, torque = self.band.motion, self.band.torque
+        columns = model.columns(motion, nonlinear, lag).T
+        lowered = self.band.lowered(np.concatenate([columns, model.target(motion, torque, nonlinear)[None]]))
+        whitened = self.band.whitened(lowered)
+        genes = _least_squares(whitened[:-1], whitened[-1], positive_among(model.linear))
+        left = whitened[-1] - genes @ whitened[:-1]
+        return _Solved(nonlinear, genes, float(left @ left), whitened, lowered[-1] - genes @ lowered[:-1])
+
+    def _jacobian(self, model: CouplingModel, best: _Solved) -> Array:
+        motion, torque = self.band.motion, self.band.torque
+        changed = model.jacobian(motion, best.nonlinear, best.genes, _lag(best.genes), torque)
+        return self.band.whitened(self.band.lowered(np.ascontiguousarray(changed.T)))
+
+    def _without(self, fit: BandFit, term: str) -> float:
+        """Return the score of a fit without a term, from the problem linearised at the fit with it."""
+        parameters = (*fit.model.linear, *fit.model.nonlinear)
+        own = np.array([one in TERMS[term].parameters for one in parameters])
+        values = np.concatenate([fit.genes, fit.nonlinear])
+        gone = [
+            0.0 if one.absent is None else one.absent - value for one, value in zip(parameters, values, strict=True)
+        ]
+        target = fit.left - (np.array(gone) * own) @ fit.columns
+        others = fit.columns[~own]
+        left = target - _least_squares(others, target) @ others
+        fewer = tuple(one for one in fit.terms if one != term)
+        return self._score(float(left @ left) / self.size**2, fewer)
+
+    def _score(self, square: float, terms: tuple[str, ...]) -> float:
+        parameters = sum(len(TERMS[term].parameters) for term in terms)
+        return float(self.score.of(square, parameters)) + odds(terms)
+
+
+def _least_squares(columns: Array, target: Array, positive: tuple[int, ...] = ()) -> Array:
+    """Return the factors (k,) of columns (k, m) that fit a target (m,), those in `positive` not below zero."""
+    free, found = np.ones(len(columns), dtype=bool), np.zeros(len(columns))
+    size = np.sqrt((columns**2).mean(axis=1)) + np.finfo(float).tiny
+    while True:
+        scaled = columns[free] / size[free, None]
+        found[:] = 0.0
+        found[free] = np.linalg.lstsq(scaled.T, target, rcond=None)[0] / size[free]
+        negative = [at for at in positive if found[at] < 0.0]
+        if not negative:
+            return found
+        free[min(negative, key=lambda at: found[at] * size[at])] = False
+
+
+def _is_free(term: str, terms: tuple[str, ...]) -> bool:
+    """Return whether no other term needs this one."""
+    fewer = [*SMALLEST.split("+"), *(one for one in terms if one != term)]
+    return not any(lacking(one, fewer) for one in fewer)
+
+
+def _lag(genes: Array) -> float:
+    """Return Bc/Kc, s."""
+    return max(0.0, float(genes[1] / genes[0])) if genes[0] > 0.0 else 0.0

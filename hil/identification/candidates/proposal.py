@@ -1,0 +1,131 @@
+"""Propose models for a recording: search the catalogue, fit the best candidates in the band, and search again.
+
+Each round improves the catalogue: the fitted parameters become grid values, the fitted torque gives the columns of
+delays and lags, and the residuals of the fit give the noise model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
+from hil.identification.candidates.band import Band
+from hil.identification.candidates.band_fit import BandFit, BandFits
+from hil.identification.candidates.catalogue import Catalogue, model_of
+from hil.identification.candidates.search import Candidate, Search
+from hil.signals.prepare import Signals
+
+Array = NDArray[np.float64]
+
+_ROUNDS = 4
+_SMALLEST = tuple(SMALLEST.split("+"))
+_LATE = ("branch", "mass", "channel")
+_FITTED = 2  # candidates of different terms that a round fits
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A set of terms besides the smallest model's, and approximate nonlinear parameters, SI, by name."""
+
+    terms: tuple[str, ...]
+    values: Mapping[str, float]
+
+
+def proposed(
+    signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]
+) -> tuple[list[Proposal], list[Proposal]]:
+    """Return the models fitted to the samples in `seen` (n,), best first, and the candidates in Occam's window.
+
+    terms: those considered besides the smallest model's.
+    """
+    catalogue = Catalogue(Band.of(signals, seen), terms)
+    search = Search(catalogue)
+    fits = _fits(search)
+    search = _sharpened(search, _fitted(search, fits, search.first()))
+    best: BandFit | None = None
+    for _ in range(_ROUNDS):
+        fits, found = _fits(search), search.found()
+        tried = [] if best is None else [fits.fit(best.terms, best.values)]
+        tried += [_fitted(search, fits, one, best) for one in _different(search, [one for _, one in found])]
+        for one in tried:
+            _fit_exchanged(fits, fits.pruned(one), terms)
+        before, best = best, fits.best()[0]
+        if not best.terms or (before is not None and set(before.terms) == set(best.terms)):
+            break
+        catalogue.add_values(best.terms, best.values)
+        search = _learned(catalogue, best)
+    models = [Proposal(one.terms, one.values) for one in fits.best()]
+    return models, [Proposal(search.terms(one), search.values(one)) for _, one in found]
+
+
+def _sharpened(search: Search, fit: BandFit) -> Search:
+    """Return the search with the noise model of a fit, and with the fitted values of each term that may help alone."""
+    catalogue = search.catalogue
+    search = _learned(catalogue, fit)
+    alone, fits = search.showing(), _fits(search)
+    for candidate in alone:
+        one = _fitted(search, fits, candidate)
+        catalogue.add_values(one.terms, one.values)
+    return _learned(catalogue, fit) if alone else search
+
+
+def _learned(catalogue: Catalogue, fit: BandFit) -> Search:
+    """Return the search with the noise model of a fit, and with delays and lags of the torque of this fit."""
+    catalogue.band = catalogue.band.with_noise(fit.residuals)
+    catalogue.read(_coupling_torque(catalogue, fit))
+    search = Search(catalogue)
+    search.learn_spread()
+    return search
+
+
+def _fits(search: Search) -> BandFits:
+    return BandFits(search.catalogue.band, search.score, search.catalogue.size)
+
+
+def _fitted(search: Search, fits: BandFits, candidate: Candidate, near: BandFit | None = None) -> BandFit:
+    values = search.values(candidate)
+    return fits.fit(search.terms(candidate), values if near is None else {**near.values, **values})
+
+
+def _fit_exchanged(fits: BandFits, fit: BandFit, terms: tuple[str, ...]) -> None:
+    """Fit the models in which one term is exchanged for another account of the same.
+
+    Two laws of one effect exclude each other. A branch without a parallel damper has the same response as a lag, and an
+    inertia looks like torque that is read early. Beside one of these, the catalogue does not show how well the others
+    would do instead.
+    """
+    for one in fit.terms:
+        others = (*_SMALLEST, *(term for term in fit.terms if term != one))
+        for other in (term for term in terms if term != one and _account_for_the_same(one, term)):
+            larger = (*others, other)
+            if is_addable(other, others) and not any(lacking(term, larger) for term in larger):
+                fits.pruned(fits.fit(larger[len(_SMALLEST) :], fit.values))
+
+
+def _account_for_the_same(one: str, other: str) -> bool:
+    first, second = TERMS[one], TERMS[other]
+    late = first.role in _LATE and second.role in _LATE
+    return late or other in first.excludes or one in second.excludes
+
+
+def _different(search: Search, found: Sequence[Candidate]) -> list[Candidate]:
+    """Return the first candidates of different terms, without those that only have other grid values."""
+    first: dict[frozenset[str], Candidate] = {}
+    for one in found:
+        first.setdefault(frozenset(search.terms(one)), one)
+    return list(first.values())[:_FITTED]
+
+
+def _coupling_torque(catalogue: Catalogue, fit: BandFit) -> Array:
+    """Return the torque of a fit, N m, at all samples of the whole motion, before it passes the torque's channel."""
+    motion = catalogue.band.motion
+    model = model_of(motion, [term for term in fit.terms if TERMS[term].role != "channel"])
+    genes = dict(zip((one.name for one in fit.model.linear), fit.genes.tolist(), strict=True))
+    nonlinear = np.array([fit.values[one.name] for one in model.nonlinear])
+    lag = max(0.0, genes["Bc"] / genes["Kc"]) if genes["Kc"] > 0.0 else 0.0
+    columns = model.raw_columns(motion.whole[0], nonlinear, lag)
+    return np.asarray(columns @ [genes[one.name] for one in model.linear])
