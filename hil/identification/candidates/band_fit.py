@@ -16,7 +16,7 @@ from ga.model.coupling import CouplingModel
 from ga.model.record import positive_among
 from ga.model.terms import SMALLEST, TERMS, lacking
 from hil.identification.candidates.band import Band
-from hil.identification.candidates.catalogue import model_of
+from hil.identification.candidates.catalogue import lag_of, model_of
 from hil.identification.candidates.search import MARGIN, Score, odds
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ class BandFits:
         low, high = model.bounds(self.band.motion, self.band.highest)
         best = self._started(model, values, (low, high))
         if model.needs_ratio:
-            best = self._solved(model, best.nonlinear, _lag(best.genes))
+            best = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
         jacobian = np.empty((0, best.whitened.shape[1]))
         for _ in range(_STEPS if len(low) else 0):
             jacobian = self._jacobian(model, best)
@@ -144,7 +144,7 @@ class BandFits:
             nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
             if np.array_equal(nonlinear, best.nonlinear):
                 return None
-            tried = self._solved(model, nonlinear, _lag(best.genes))
+            tried = self._solved(model, nonlinear, lag_of(*best.genes[:2]))
             if tried.square < best.square:
                 return tried
         return None
@@ -160,7 +160,7 @@ class BandFits:
 
     def _jacobian(self, model: CouplingModel, best: _Solved) -> Array:
         motion, torque = self.band.motion, self.band.torque
-        changed = model.jacobian(motion, best.nonlinear, best.genes, _lag(best.genes), torque)
+        changed = model.jacobian(motion, best.nonlinear, best.genes, lag_of(*best.genes[:2]), torque)
         return self.band.whitened(self.band.lowered(np.ascontiguousarray(changed.T)))
 
     def _without(self, fit: BandFit, term: str) -> float:
@@ -200,8 +200,3 @@ def _is_free(term: str, terms: tuple[str, ...]) -> bool:
     """Return whether no other term needs this one."""
     fewer = [*SMALLEST.split("+"), *(one for one in terms if one != term)]
     return not any(lacking(one, fewer) for one in fewer)
-
-
-def _lag(genes: Array) -> float:
-    """Return Bc/Kc, s."""
-    return max(0.0, float(genes[1] / genes[0])) if genes[0] > 0.0 else 0.0

@@ -71,7 +71,7 @@ class Catalogue:
         self.size = float(np.std(target)) or 1.0
         self._genes = np.linalg.lstsq(np.array(self._columns).T, target, rcond=None)[0]
         self._genes[:2] = np.maximum(self._genes[:2], 0.0)
-        self.lag = float(self._genes[1] / self._genes[0]) if self._genes[0] > 0.0 else 0.0
+        self.lag = lag_of(*self._genes[:2].tolist())
         self._target = target / self.size
         for term in self.terms:
             if TERMS[term].role != "channel":
@@ -184,6 +184,11 @@ class Catalogue:
 
 
 _OF_SMALLEST = frozenset(one for name in _SMALLEST for one in TERMS[name].parameters)
+
+
+def lag_of(stiffness: float, damping: float) -> float:
+    """Return Bc/Kc, s; 0 if one of them is not positive."""
+    return max(0.0, damping / stiffness) if stiffness > 0.0 else 0.0
 
 
 def model_of(motion: Motion, terms: Iterable[str]) -> CouplingModel:
