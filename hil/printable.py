@@ -15,13 +15,15 @@ def printable(text: str) -> str:
     """Return text with its control characters escaped, except line ends and tabs.
 
     Names and messages may come from other people's files: an escape sequence in such a text could rewrite the screen,
-    and a mark of direction turn the words of a page round.
+    and a mark of text direction could reverse the words of a page.
     """
     return _UNUSUAL.sub(lambda found: _escaped(found[0]), text)
 
 
 def quoted(name: str | Path) -> str:
-    """Return a name as one word of a command for a shell, also if it has spaces or other signs with a meaning there."""
+    """Return a name as one word of a shell's command, also if it has spaces or other characters that a shell
+    interprets.
+    """
     return shlex.quote(str(name))
 
 

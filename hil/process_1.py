@@ -28,7 +28,7 @@ def leave_process_1() -> int | None:
 
 
 def _outlive(child: int) -> int:
-    """Pass signals on to `child`, or to all others after its end, until no other process is left. Return its exit
+    """Pass signals on to `child`, after its end to all other processes, until none is left. Return the child's exit
     status.
     """
     status, receiver = 0, child

@@ -1,7 +1,7 @@
 """Values with a unit in a file that a person writes: `watchdog = "100 ms"`, `torque_constant = "14.5 mN*m/A"`.
 
-Each table of such a file has a Python class. A field that is a physical quantity is annotated there with its SI unit,
-`annotated_types.Unit`, also in the classes of the drives and the simulator, which do not use units otherwise.
+Each table of such a file has a Python class. A field of that class that is a physical quantity is annotated with its SI
+unit, `annotated_types.Unit`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hil.units import dimension_of, factor, printed, quantity
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """The largest value, SI, that a number without a unit can have meant; what is larger needs its unit in the file.
+    """The largest value, SI, that a number without a unit may have; a larger value needs its unit in the file.
 
-    units: those in which such a number was probably meant, the likeliest first.
+    units: the units in which a larger number was probably meant, the likeliest first.
     """
 
     most: float
@@ -65,8 +65,8 @@ def _value(value: Any, hint: Any) -> tuple[Any, dict[Place, str]]:
 
 
 def _quantity(value: Any, unit: str, hint: Any) -> tuple[Any, dict[Place, str]]:
-    """Return a physical quantity in the SI unit `unit`, and what is wrong with it. A number needs no unit if it is
-    usual.
+    """Return a physical quantity in the SI unit `unit`, and what is wrong with it. A number of usual size needs no
+    unit.
     """
     number, dimension = value, None
     if isinstance(value, str):

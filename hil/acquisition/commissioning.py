@@ -66,8 +66,7 @@ class Commissioning:
     def keep(self, stand: Stand, info: ServoInfo, mode: Quantity) -> Path:
         """Store this result for the drive `info` of `stand` and the command mode `mode`; return the path of the file.
 
-        A drive that keeps its torque is noted in the stand file too, and so is that it passed after that. Raises
-        WrongUse.
+        The stand file, too, stores whether the drive keeps its torque. Raises WrongUse.
         """
         passed = self.releases and self.stops_ours
         keeps = not self.releases or (not passed and _kept_torque(stand, info, mode))
@@ -94,7 +93,8 @@ def _name_in_stand(info: ServoInfo, mode: Quantity) -> str:
 def _kept_torque(stand: Stand, info: ServoInfo, mode: Quantity) -> bool:
     """Return whether the drive did not release its torque in a test and has not passed a test since.
 
-    Neither age nor a changed setting of the drive ends this. A file that cannot be read counts as such a test.
+    A failed test counts however old it is, and after any change of the drive's settings. A file that cannot be read
+    counts as a failed test.
     """
     if stand.keeps_torque.get(_name_in_stand(info, mode), False):
         return True
@@ -130,7 +130,7 @@ def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
 
 
 def _valid_today(kept: Mapping[str, Any]) -> Commissioning | None:
-    """Return the result in the fields of a file, None if they are damaged or not of the last 30 days."""
+    """Return the result in the fields of a file; None if the fields are damaged or older than 30 days."""
     with suppress(KeyError, TypeError):
         found = Commissioning(**{one.name: kept[one.name] for one in fields(Commissioning)})
         age = time.time() - found.time
@@ -149,7 +149,7 @@ def require_agreement(stand: Stand, mode: Quantity, motion: str, agree: Agree | 
 
     Nobody is asked if nothing real moves, if a person agreed to this text of the stand file before, or if the
     commissioning of its drive is valid today. motion: what the motor will do. agree: None asks nobody and keeps
-    nothing. Raises as `agree`.
+    nothing. Raises the errors of `agree`.
     """
     if agree is None or stand.stand.backend in NOTHING_TURNS:
         return
@@ -182,7 +182,7 @@ def _drive_of(stand: Stand, mode: Quantity) -> str:
 
 
 def _is_commissioned(state: Path, drive: str) -> bool:
-    """Return whether the folder `state` has a valid result for the drive with this `_drive_of`. No drive is opened."""
+    """Return whether the folder `state` has a valid result for the drive with the hash `drive`. No drive is opened."""
     for path in (state / "commissioning").glob("*.json"):
         with suppress(OSError, ValueError, RecursionError, WrongUse):
             kept = StoredFacts("commissioning", path.stem).load() or {}
@@ -220,7 +220,9 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
 
 
 def require_release(stand: Stand, info: ServoInfo, mode: Quantity) -> None:
-    """Raise WrongUse if the drive kept its torque in its last decisive test, unless the stand file accepts that."""
+    """Raise WrongUse if the drive kept its torque in a test and has passed no test since, unless the stand file accepts
+    that.
+    """
     if stand.stand.torque_stays_on_if_host_dies or not _kept_torque(stand, info, mode):
         return
     raise WrongUse(

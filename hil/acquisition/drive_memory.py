@@ -18,9 +18,9 @@ _LARGEST = 4096  # bytes of a file
 
 
 class StoredFacts:
-    """A file that keeps facts of one kind about one thing between runs.
+    """A file that keeps facts of one kind about one drive or stand between runs.
 
-    kind: what the facts are about; the name of the folder. words: they name the thing. path:
+    kind: name of the folder, for the subject of the facts. words: the names of the drive or stand. path:
     `$XDG_STATE_HOME/hil/KIND/WORDS.json`. Raises WrongUse if the user has no folder for such files.
     """
 
@@ -29,7 +29,7 @@ class StoredFacts:
 
     @classmethod
     def of_drive(cls, kind: str, info: ServoInfo, *also: str) -> Self:
-        """Return the memory of the drive `info`. also: words that distinguish several files of the same drive."""
+        """Return the file of facts about the drive `info`. also: words that distinguish several files of this drive."""
         return cls(kind, info.backend, info.model, info.serial, *also)
 
     def load(self) -> dict[str, Any] | None:
@@ -62,7 +62,7 @@ class StoredFacts:
 
 
 def file_name(*words: str) -> str:
-    """Return the words as one name of a file: what is no letter, digit, "." or "-" becomes "_"."""
+    """Return the words as one name of a file. Every character except letters, digits, "." and "-" becomes "_"."""
     return re.sub(r"[^A-Za-z0-9.-]+", "_", " ".join(words))
 
 

@@ -86,9 +86,10 @@ class Guard:
         """Return the reason to ramp the torque down for a tick that is `late` s behind its time, "" if there is no
         reason.
 
-        late: the time since the previous tick, less one period, s. waited: the part of `late`, s, in which the drive
-        answered the previous tick. `waited` is caused by the link, whose silence has a limit of its own, and not by
-        this computer. Raises LimitReached if the tick is so late that the torque must be switched off at once.
+        late: the time since the previous tick, less one period, s. waited: the part of `late`, s, that was spent
+        waiting for the drive's reply to the previous tick. The link causes this part, not this computer, and
+        `check_silence` limits it. Raises LimitReached if the tick is so late that the torque must be switched off at
+        once.
         """
         if late <= _LATE_RAMP or late <= min(_SILENCE, _LATE_RAMP + waited):
             return ""

@@ -151,8 +151,8 @@ class Level:
 class Temperature:
     """Check that the winding's temperature, degC, stays below its limit and changes while the motor is loaded.
 
-    A constant reading is possible in thermal equilibrium. Before equilibrium, a reading with a coarse step changes more
-    and more slowly: its last step takes at least ln 2 of the time constant, which is minutes for the case of a motor. A
+    A constant reading is possible in thermal equilibrium. Before equilibrium, a coarsely rounded reading changes more
+    and more slowly: its last step takes at least ln 2 of the time constant, which is minutes for a motor's housing. A
     reading that changed faster than this and then stays constant is frozen.
     """
 

@@ -129,9 +129,7 @@ def _opened(
     realtime: bool,
     guardian: bool,
 ) -> tuple[Servo, Mapping[str, float]]:
-    """Return the open servo with its planned faults, and the true parameters if it is simulated. Raises as
-    `open_servo`.
-    """
+    """Return the open servo with its planned faults, and the true parameters if it is simulated. Raises DriverError."""
     plan, host = faulty
     watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
     watched = plan is None or "broken-watchdog" not in plan.kinds()
@@ -140,7 +138,7 @@ def _opened(
 
 
 def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[Diagnostic]], object]) -> Stand:
-    """Return the stand with the torque limit that its drive may use. Raises as `permitted`."""
+    """Return the stand with the torque limit that its drive may use. Raises WrongUse."""
     stand, warnings = permitted(stand, servo.info, profile)
     warn(warnings)
     return stand

@@ -19,7 +19,7 @@ class Sink(Protocol):
         """Add one row. Raises Untrustworthy if the row cannot be stored."""
 
     def event(self, time: float, code: str, message: str) -> None:
-        """Add an event at `time` s: a short code and a sentence. Raises as `append` does."""
+        """Add an event at `time` s: a short code and a sentence. Raises Untrustworthy if the event cannot be stored."""
 
     def __len__(self) -> int:
         """Return the number of rows so far."""

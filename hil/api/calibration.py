@@ -35,7 +35,7 @@ class Zero:
 def read_loads(
     stand: Stand, loads: Iterable[Load], cell: TorqueCell | None, clock: Clock, ready: Callable[[Load], bool]
 ) -> list[Point]:
-    """Return torque and cell reading of each known load. A reading that a load lacks is read from `cell`.
+    """Return the torque and the cell's reading of each known load. A missing reading is taken from `cell`.
 
     ready: called before a load is read; returns whether the person has hung the load. If not, the load is left out.
     Raises WrongUse for an impossible load, DriverError if the connection to the cell is lost.
@@ -64,8 +64,8 @@ def store_torque(
     changed keys.
 
     tare: the cell's reading without load, in counts or as printed. arm: length of the lever and its standard
-    uncertainty, m; None if torques were given. Raises as `hil.calibration.torque.fit`; the file is changed only on
-    success.
+    uncertainty, m; None if torques were given. Raises WrongUse for too few loads, Untrustworthy if the readings do not
+    lie on a rising line. The file is changed only on success.
     """
     stand = load(path)
     lever = 0.0 if arm is None else math.hypot(arm[1] / arm[0], GRAVITY_UNCERTAINTY)

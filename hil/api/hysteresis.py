@@ -73,8 +73,8 @@ def hysteresis(
 
     runs: recordings of hil, or tables of torque and angle in the order in which they were read, without a time. rated,
     parts, lost_motion: torques, N m, as in `hil.hysteresis_curve.measures.measure`. torque, dtheta: the columns of a
-    table; None: the only column whose heading has a unit of torque, or of an angle. torque_unit, dtheta_unit: None: the
-    heading's. Raises WrongUse, and Untrustworthy if no branch loads the joint.
+    table; None: the only column whose heading has a unit of torque, or of an angle. torque_unit, dtheta_unit: the
+    columns' units; None: the units in the headings. Raises WrongUse, and Untrustworthy if no branch loads the joint.
     """
     paths = [Path(run) for run in ([runs] if isinstance(runs, str | os.PathLike) else runs)]
     columns = (("torque", torque, torque_unit), ("angle", dtheta, dtheta_unit))
@@ -108,7 +108,7 @@ def _table(path: Path, columns: Sequence[tuple[str, str | None, str | None]]) ->
 
 
 def _title(table: Table, dimension: str, name: str | None) -> str:
-    """Return the heading of a column: the named one, or else the only one with a unit of the dimension."""
+    """Return the heading of the column `name`; without a name, of the only column with a unit of `dimension`."""
     if name is not None:
         return table.titles[table.place(name)]
     found = []

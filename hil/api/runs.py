@@ -68,7 +68,7 @@ class Run:
         return not any(diagnostic.is_error for diagnostic in self.diagnostics)
 
     def load(self) -> LoadedRecording:
-        """Load and return the recording. Raises as `hil.load`."""
+        """Load and return the recording. Raises WrongUse, and Untrustworthy for a damaged file."""
         from hil.api.recordings import load
 
         return load(self.path)
@@ -118,13 +118,13 @@ def record(
     """Drive the motor of `stand` through an excitation against the locked joint, and record it.
 
     amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: sampling rate,
-    Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: the CSV for
-    profile "file". seed: for everything random. realtime: a simulated stand runs in wall time. note, command_line:
-    texts stored in the recording. output: its path (None: the next free recordings/runN.h5). force: replace a file.
-    guardian: whether a second process switches a real drive's torque off if this process is killed, frozen or late.
-    faults: a TOML file with planned faults of a simulated stand. rerun: "window" or a file .rrd, for Rerun. warn:
-    called with the warnings known before anything moves. alarm: called at once if the torque may still be on. agree:
-    called before a real motor moves for the first time; raises to refuse. ended: called with the run before its fault.
+    Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: CSV for profile
+    "file". seed: for everything random. realtime: a simulated stand runs in wall time. note, command_line: texts stored
+    in the recording. output: its path (None: the next free recordings/runN.h5). force: replace a file. guardian:
+    whether a second process switches a real drive's torque off if this process is killed, frozen or late. faults: a
+    TOML file with planned faults of a simulated stand. rerun: "window" or a file .rrd, for Rerun. warn: called with the
+    warnings known before anything moves. alarm: called at once if the torque may still be on. agree: called before a
+    real motor moves for the first time; raises to refuse. ended: called with the run before its fault is raised.
 
     The torque is off on return, and all rows are kept. Ctrl-C ramps the torque to zero and sets `outcome.signal`.
     Raises WrongUse before any motion, DriverError if the drive fails, `hil.acquisition.limits.LimitReached` at a limit.
@@ -215,8 +215,8 @@ def simulate(
     """Record an excitation on the simulated stand, in virtual time.
 
     sim: the tables of [sim] in a stand file (docs/simulator.md) with values in SI or texts with a unit, such as
-    {"coupling": {"stiffness": 0.02}}. The other arguments are those of `record`. Raises as `record`, and WrongUse with
-    every unknown or impossible key of `sim`.
+    {"coupling": {"stiffness": 0.02}}. The other arguments are those of `record`. Raises WrongUse, for `sim` with all
+    its unknown or impossible keys.
     """
     return record(
         parse(SIMULATED + _toml(sim or {}), "sim"),

@@ -24,9 +24,9 @@ from hil.recording.output import check_folder, writing
 class Desk:
     """The interface to the person at the stand, as functions.
 
-    say: shows a line of text. ask: shows an instruction and returns when the person has followed it. agree: as in
-    `hil.record`. progress: gets the
-    name of the identification's phase and the completed fraction. sleep: waits for the given time, s.
+    say: shows a line of text. ask: shows an instruction and returns when the person has followed it. agree: called
+    before a real motor moves for the first time; raises to refuse. progress: gets the name of the identification's
+    phase and the completed fraction. sleep: waits for the given time, s.
     """
 
     say: Callable[[str], object]
@@ -45,7 +45,7 @@ class Stopped(Exception):
 
 
 def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
-    """Make every recording of the plan that is missing. A failure is written into the journal, and the next one
+    """Make every recording of the plan that is missing. A failure is written into the journal, and the next recording
     follows.
 
     desk: the interface to the person at the stand. Raises Stopped if that person ends the campaign; raises DriverError

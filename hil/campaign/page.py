@@ -157,7 +157,9 @@ def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Pat
 
 
 def _of_recordings(found: Results) -> list[Diagnostic]:
-    """Return the warnings and errors of every recording's result; the errors of a failed one are in its failure."""
+    """Return the warnings and errors of all recordings, without the errors that a failed recording's `failure`
+    states.
+    """
     measured = [one for line in found.lines for one in line.measured]
     return [said for one in measured for said in one.diagnostics if not (one.failure and said.is_error)]
 

@@ -157,7 +157,7 @@ def run(words: list[str]) -> int:
 
 
 def _usage(error: Exception) -> str:
-    """Return the error in the options as one sentence; sentences that come from pydantic are replaced."""
+    """Return an error in the options as one sentence. The texts of the library pydantic are replaced."""
     shown, raised, cause = io.StringIO(), cast("Any", error), cast("Any", error.__cause__)
     if hasattr(cause, "errors"):
         item = cause.errors()[0]

@@ -46,7 +46,7 @@ def design(
     ] = "auto",
     as_json: options.Json = False,
 ) -> None:
-    """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest ones."""
+    """Predict the errors of Kc and Bc for an excitation, and find the excitation with the smallest errors."""
     from hil.api import planning
 
     with progress() as show:

@@ -73,7 +73,7 @@ class Command(TyperCommand):
     """A typer command whose help shows <path> instead of Python's types, such as <list[Path]>."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, the options, and each group of options that few need under a heading of its own."""
+        """Write the arguments, the options, and each group of rarely needed options under its heading."""
         groups: dict[str, list[tuple[str, str]]] = {}
         for param in self.get_params(ctx):
             if (shown := param.get_help_record(ctx)) is not None:

@@ -39,7 +39,7 @@ def measured(option: str, dimension: str, text: str) -> Any:
 
 
 def searched(text: str, *, least: float | None = None, most: float | None = None) -> Any:
-    """Return the definition of an option of the paper's genetic algorithm, which few need: the help shows them apart.
+    """Return the definition of an option of the paper's genetic algorithm; the help lists these options separately.
 
     text: the help. least, most: the range of a number.
     """

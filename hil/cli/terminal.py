@@ -155,7 +155,7 @@ def _as_records(title: str, rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def asking(*, yes: bool) -> Callable[[str], object] | None:
-    """Return `ask_to_go_on` in a terminal; None after --yes, and where nobody can answer, such as in a service."""
+    """Return `ask_to_go_on`; None with --yes, and where nobody can answer, such as in a service."""
     return ask_to_go_on if _is_terminal(sys.stdin) and not yes else None
 
 

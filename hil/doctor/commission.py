@@ -27,7 +27,7 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The result of commissioning and the trials behind it. guardian: its trial, None if the drive has no guardian."""
+    """The result of commissioning and its trials. guardian: the guardian's trial, None if the drive has no guardian."""
 
     outcome: Commissioning
     info: ServoInfo
@@ -92,7 +92,7 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
 
 
 def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str, Try]) -> Trial | None:
-    """Make a trial, and make it again if the run ended before the trial. Return None if it could not be made: `checks`
+    """Make a trial, once more if the run ended before the trial. Return None if no trial was made: `checks`
     says why.
     """
     name, trial = named
@@ -112,7 +112,7 @@ def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str,
 
 
 def _reduced(stand: Stand) -> Stand:
-    """Return the stand for the trials: with half the torque limit, and with a drive without a watchdog accepted."""
+    """Return the stand for the trials: with half the torque limit; a drive without a watchdog is accepted."""
     table = stand.stand.model_copy(update={"torque_stays_on_if_host_dies": True})
     return with_torque_limit(replace(stand, stand=table), SHARE * stand.checked_limits().torque)
 
@@ -120,7 +120,7 @@ def _reduced(stand: Stand) -> Stand:
 def _kept(
     checks: CheckList, stand: Stand, tried: tuple[ServoInfo, Quantity], trials: tuple[Trial, Trial | None, Trial]
 ) -> Report:
-    """Return the result that follows from the trials, after storing it for the drive. tried: the drive and its mode."""
+    """Store the result that follows from the trials, and return it. tried: the drive and its mode."""
     info, mode = tried
     signalled, guarded, watched = trials
     for name, trial in (("second signal", signalled), ("guardian", guarded), ("watchdog", watched)):

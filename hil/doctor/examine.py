@@ -49,7 +49,7 @@ def examine(
 ) -> Report | None:
     """Make every check that the stand allows and add each to `checks`. The torque is off on return.
 
-    rate: the rate that the link must reach, Hz. move: whether the motor may be driven. amplitude: of that move, N m or
+    rate: the rate that the link must reach, Hz. move: whether the motor may be driven. amplitude: of this move, N m or
     rad at the joint (None: a twentieth of the limit). tuned: whether to search for the highest rate. say: if given, the
     drive is also commissioned, and `say` is called with a sentence before each trial. agree: called before anything is
     opened if `move` moves a real motor for the first time. Return the result of commissioning, None without it. Raises

@@ -21,7 +21,7 @@ def check_link(checks: CheckList, servo: Servo, rate: float, stop: StopRequest) 
     """Read the servo without torque for one second, as fast as it answers, and compare the rate with `rate` Hz. Return
     the samples.
 
-    Raises as `exchange` does, except for lost and bad replies, which are counted.
+    Lost and bad replies are counted. Raises DriverError for any other fault.
     """
     clock, lost = servo.clock, 0
     trips: list[float] = []

@@ -22,8 +22,8 @@ class Left(NamedTuple):
     """The remaining load of a drive after the torque-off.
 
     releases: whether the drive released its torque, None if that cannot be decided. share: the remaining fraction of
-    the load. words: the same in words. measured: whether the motor's torque was used for the decision; unlike the
-    deflection it is not held by friction.
+    the load. words: the remaining load in words. measured: whether the motor's torque was used for the decision; unlike
+    the deflection it is not held by friction.
     """
 
     releases: bool | None

@@ -15,7 +15,7 @@ _TRIES = 5
 
 
 def answered(servo: Servo) -> Sample:
-    """Read the servo without a set-point; if a reply is lost, ask again. Raises as `exchange` does."""
+    """Read the servo without a set-point; if a reply is lost, ask again. Raises DriverError."""
     for _ in range(_TRIES - 1):
         try:
             return servo.exchange(Command.rest())

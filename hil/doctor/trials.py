@@ -109,7 +109,7 @@ class _TriedServo:
         self._servo.disarm()
 
     def exchange(self, command: Command) -> Sample:
-        """Send a command to the servo and return its sample. Raises as the servo, and _TrialOver after the trial."""
+        """Send a command to the servo and return its sample. Raises DriverError, and _TrialOver after the trial."""
         sample = self._servo.exchange(self._held or command)
         if not self._armed:
             self._rest.append(sample)
@@ -142,7 +142,7 @@ def silence(info: ServoInfo) -> float:
 
 
 def read(servo: Servo) -> Sample:
-    """Return the first reading that arrives, without a set-point. Raises DriverError."""
+    """Ask the servo for readings, without a set-point, and return the first that arrives. Raises DriverError."""
     for _ in range(_TRIES - 1):
         try:
             sample = servo.exchange(Command.rest())
@@ -258,7 +258,7 @@ def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
 
 
 def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases: Phases) -> Trial | None:
-    """Read the drive after its confirmed torque-off. Return the trial `made`; if it is None, return the trial of this
+    """Read the drive after its confirmed torque-off. Return `made`; if that is None, return the trial of this
     torque-off.
     """
     off_at = next(t for t, phase in phases.history if phase is Phase.OFF)

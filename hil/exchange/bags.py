@@ -76,8 +76,8 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
 
 
 def _check_files(source: Path) -> None:
-    """Raise WrongUse for a file of a bag that rosbags must not open: its description may name any file of its folder,
-    so that a FIFO would be waited for.
+    """Raise WrongUse for a bag's file that rosbags must not open. The bag's description may name any file in the
+    folder, such as a FIFO, for which rosbags would wait forever.
     """
     if source.is_dir() and not (source / _DESCRIPTION).is_file():
         raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")

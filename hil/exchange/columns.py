@@ -70,7 +70,7 @@ class Table:
         return table, places
 
     def _label(self, title: str) -> str | None:
-        """Return the column with the name of the joint in an indexed one: "field.name0" beside "field.effort0"."""
+        """Return the column that names the joint of an indexed column: "field.name0" for "field.effort0"."""
         match = _INDEXED.search(title)
         label = "" if match is None else f"{title[: match.start()]}name{match[1]}"
         return label if label != title and label in self.titles else None
@@ -81,8 +81,8 @@ def open_table(
 ) -> Table:
     """Return the table in a file.
 
-    topic: of a bag (see `bags.columns`), or the sheet of a workbook. joint: of a bag. asked: names of columns, by which
-    the line of headings of a text is found. Raises WrongUse.
+    topic: a topic of a bag, or the sheet of a workbook. joint: a joint of a bag. asked: names of columns, which the
+    line of headings in a text must contain. Raises WrongUse.
     """
     if bags.is_bag(source):
         found = bags.columns(source, topic, joint)
@@ -106,7 +106,7 @@ def open_table(
 
 
 def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
-    """Return the answer of `work`; text that is not compressed takes memory in proportion to the file anyway."""
+    """Return the result of `work`, which reads `source`; its memory is limited if `source` is compressed."""
     return bounded(source, work) if source.suffix.lower() == ".gz" else work()
 
 
@@ -134,7 +134,7 @@ def _read(
     wanted: Sequence[int],
     filters: Filters,
 ) -> tuple[Array, Rows]:
-    """Return columns of a file that `load` reads as a whole, as `Table.read` does."""
+    """Return the columns `wanted` and the row numbers of a file that `load` reads as a whole."""
     needed = list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
     read = dict(zip(needed, load([known[at] for at in needed]), strict=True))
     lengths = {known[at]: len(values) for at, values in read.items()}

@@ -55,7 +55,9 @@ class Coupling:
 
 
 def of_result(path: Path) -> Coupling:
-    """Return the coupling in a file that `hil identify --json` wrote. Raises WrongUse, Untrustworthy as `of_json`."""
+    """Return the coupling in a file that `hil identify --json` wrote. Raises WrongUse, and Untrustworthy if Kc or Bc
+    must not be trusted.
+    """
     text = read_text(path, largest=_LARGEST)
     try:
         table = json.loads(text)

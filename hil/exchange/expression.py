@@ -32,8 +32,8 @@ _NUMBER = ("", None)
 def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) -> list[Term]:
     """Return the columns of a sum with their factors; a text that is the name of a column is that column.
 
-    place, has: find a column of the table by name; `place` raises WrongUse. Raises WrongUse for a column that is not
-    there, a division by zero or by a column, a number without a unit in the sum, and for anything but + - * /.
+    place, has: functions of a column's name: its index, and whether the table has it. Raises WrongUse for a column that
+    is not there, a division by zero or by a column, a number without a unit in the sum, and for anything but + - * /.
     """
     if has(text):
         return [Term(text, None, 1.0)]

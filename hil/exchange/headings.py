@@ -87,8 +87,8 @@ _DIMENSIONS = (*units.SI, *units.LEVER, "current", "voltage")
 
 
 def _is_of(dimension: str, text: str) -> bool:
-    """Return whether a text in brackets is a unit of a dimension. A text that may be a word is one only if the unit is
-    usual: "gin" and "inn" are weights on levers too.
+    """Return whether a text in brackets is a unit of a dimension. A text that may be a word counts only if the unit is
+    common: "gin" and "inn" could mean g*in and in*N.
     """
     is_product = dimension in _SIMPLE and not (text.isalpha() or text in {"°", "º"})
     factor = None if is_product or _NO_UNITS.search(text) else units.known(dimension, text)
@@ -104,9 +104,9 @@ def _is_usual(dimension: str, factor: float) -> bool:
 def _counts(dimension: str, text: str, mark: str) -> bool:
     """Return whether the end of a heading is a unit of a dimension.
 
-    mark: what stands before it: "in" after a comma, a slash or "in"; "_"; " " for any other separator; "" for none. A
-    name of a unit counts only in the plural, and never after a space. A symbol with another meaning ("time min") counts
-    only after "in".
+    mark: what stands before the unit: "in" for a comma, a slash or "in"; "_"; " " for any other separator; "" for none.
+    A name of a unit counts only in the plural, and never after a space. A symbol with another meaning ("time min")
+    counts only after "in".
     """
     for word in _NAME.finditer(text):
         after_per = re.search(r"(?:per|/)[\s_]*$", text[: word.start()]) is not None
@@ -120,9 +120,9 @@ def _counts(dimension: str, text: str, mark: str) -> bool:
 
 
 def _dimensions(text: str, mark: str, name: str) -> dict[str, str]:
-    """Return the end of a heading by each dimension that it is a unit of; the longest end decides.
+    """Return, for each dimension of which the end `text` of a heading is a unit, this text.
 
-    name: what stands before it; after "milli" the end is a part of a unit.
+    mark, name: the separator and the text before the end; after "milli" the end is only a part of a unit.
     """
     return {} if _PREFIXED.search(name) else {one: text for one in _DIMENSIONS if _counts(one, text, mark)}
 
@@ -138,8 +138,8 @@ def _in_brackets(title: str) -> Iterator[tuple[str, str]]:
 
 
 def _at_the_end(title: str) -> Iterator[tuple[str, str, str]]:
-    """Yield each way to split a heading into a name and, at its end, a possible unit, with the mark between them (see
-    `_counts`); the longest unit first.
+    """Yield each way to split a heading into a name, a possible unit at its end, and the mark of the separator between
+    them; the longest unit first.
     """
     yield "", title.strip(), "_"
     for match in _SEPARATED.finditer(title):

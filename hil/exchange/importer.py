@@ -88,9 +88,9 @@ def import_table(
     columns: for each channel its column (see DIMENSION): time; torque or motor_torque; dtheta or motor_position;
     command, the set-point, is optional. Motor channels are converted to the joint with the gear of `stand`. {}: the
     file is an export of hil, or a joint state, whose effort is the torque and whose position is the deflection. where:
-    the filters. topic, joint: as in `open_table`. join: a second file of the run. between: the first and the last time,
-    as in `rows_between`. force: replace an existing recording. Raises WrongUse for a column without a known unit, for
-    readings that the stand's limits make impossible, and for a wrong row.
+    the filters. topic, joint: those of a bag. join: a second file of the run. between: the first and the last time to
+    import, as a user writes them. force: replace an existing recording. Raises WrongUse for a column without a known
+    unit, for readings that the stand's limits make impossible, and for a wrong row.
     """
     asked = set() if join else {column.name for column in columns.values()} | {one.column for one in where}
     table, said = open_table(source, topic=topic, joint=joint, asked=asked), ""
@@ -151,8 +151,8 @@ def _of_two(first: Table, join: Join, columns: Mapping[str, Column], where: Sequ
 def _channels(
     table: Table, columns: Mapping[str, Column], where: Sequence[RowFilter], *, one_clock: bool = False
 ) -> _Read:
-    """Return the channels of a table in the order of time. columns: {} for an export of hil. one_clock: whether a clock
-    that was set is refused.
+    """Return the channels of a table in the order of time. columns: {} for an export of hil. one_clock: whether to
+    refuse times that go back.
     """
     found = _in_si(table, columns, where)
     if "command" in columns:
@@ -254,7 +254,7 @@ def _with_readings(source: Path, channels: dict[str, Array], rows: Rows) -> tupl
 
 
 def _refuse_unsigned(source: Path, found: _Read, columns: Mapping[str, Column]) -> None:
-    """Raise WrongUse, with the code that decodes them, for numbers without their sign.
+    """Raise WrongUse for numbers that lack their sign; the message names the code that decodes them.
 
     An encoder that passes a whole turn needs no code: identification removes such jumps.
     """
@@ -286,7 +286,7 @@ def _plausible(source: Path, torque: Swing, dtheta: Swing, stand: Stand | None) 
 
 
 def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[str, Column]:
-    """Return the columns. If the table is a joint state, its columns are added for the channels without a column."""
+    """Return `columns`. If the table is a joint state, add its columns for the channels that `columns` lacks."""
     if not {"time [s]", "position [rad]"} <= set(table.titles):
         return columns
     added = {} if "time" in columns else {"time": Column("time")}

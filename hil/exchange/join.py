@@ -31,8 +31,8 @@ _AROUND: Final = 1.0  # periods of that frequency, around the first estimate, in
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """A second file of a run. time: its column of the time, None: named as in the first file. shared: whether both
-    files have one clock; otherwise their clocks differ by an unknown constant.
+    """A second file of a run. time: its time column; None: the name of the first file's time column. shared: whether
+    both files have one clock; otherwise their clocks differ by an unknown constant.
     """
 
     path: Path
@@ -41,9 +41,9 @@ class Join:
 
 
 def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
-    """Return the table that has a column, or every column of a sum, and its name in it; `FILE:NAME` says which.
+    """Return the table that has the column `name`, or all columns of that sum, and the name without `FILE:`.
 
-    Raises WrongUse for a column that both have; one that none has is looked for in the first.
+    `FILE:NAME` chooses a table. If neither table has the column, return the first. Raises WrongUse if both have it.
     """
     for table in (first, second):
         own = name.removeprefix(f"{table.source.name}:")
@@ -65,8 +65,8 @@ def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
 def joined(one: Part, two: Part, *, shared: bool) -> tuple[dict[str, Array], str]:
     """Return the channels of both files, (n,) each, at times of the slower file, and what was done, in words.
 
-    The readings of the faster file are interpolated, those of a command are held. Rows beside a gap of the faster file
-    have no reading. Raises WrongUse if the files have no common time, or the clocks' difference cannot be found.
+    The readings of the faster file are interpolated; a command keeps its last value. Rows beside a gap of the faster
+    file have no reading. Raises WrongUse if the files have no common time, or the clocks' difference cannot be found.
     """
     one, two = _rising(one), _rising(two)
     change, said = (0.0, "") if shared else _change(one, two)
@@ -94,7 +94,9 @@ def _rising(part: Part) -> Part:
 
 
 def _change(one: Part, two: Part) -> tuple[float, str]:
-    """Return what to add to the second file's times, s, and a sentence. Raises WrongUse if that cannot be found."""
+    """Return the shift to add to the second file's times, s, and a sentence about it. Raises WrongUse without a clear
+    shift.
+    """
     found = {name: (part, name) for part in (one, two) for name in part[1]}
     load, angle = found.get("torque"), found.get("dtheta") or found.get("motor_position")
     both = f"the clocks of {one[0]} and {two[0]}"
@@ -135,8 +137,8 @@ def _good(part: Part, name: str) -> tuple[Array, Array]:
 
 
 def _at(wanted: Array, time: Array, values: Array, name: str) -> Array:
-    """Return a channel (n,), read at times (n,), at other times (k,): NaN inside its gaps; of a command the last
-    one.
+    """Return a channel at the times `wanted` (k,), s, from `values` (n,) at `time` (n,), s. Inside gaps it is NaN; a
+    command keeps its last value.
     """
     from scipy.interpolate import CubicSpline
 
@@ -153,8 +155,8 @@ def _at(wanted: Array, time: Array, values: Array, name: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Shift:
-    """What to add to the torque's clock, s, and its standard error, which is large too where the clocks run apart.
-    explained: the share of the torque's power that deflection and rate explain after the shift.
+    """The shift to add to the torque's clock, s, and its standard error, s, which is also large if the clocks drift
+    apart. explained: the fraction of the torque's power that deflection and rate explain after the shift.
     """
 
     seconds: float
@@ -191,7 +193,7 @@ def _shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> _Shift
 
 
 def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> tuple[Array, float]:
-    """Return how much each piece's own best shift differs (pieces,), and the best shift of all."""
+    """Return each piece's best shift (pieces,), less the best shift of all pieces together, and the latter, s."""
     for _ in range(6):
         less, here, more = (misfits(shift + part * width) for part in (-1.0, 0.0, 1.0))
         slopes, bend = (more - less) / (2.0 * width), float((more + less - 2.0 * here).sum()) / width**2
@@ -203,7 +205,9 @@ def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> t
 
 
 def _coarse(step: float, time: Array, dtheta: Array, other: Array, torque: Array) -> tuple[float, float]:
-    """Return the shift at which deflection and rate explain the most of the torque's power, and that share."""
+    """Return the shift at which deflection and rate explain the largest fraction of the torque's power, and that
+    fraction.
+    """
     from scipy.signal import correlate
 
     angle, load = (_even(step, at, values) for at, values in ((time, dtheta), (other, torque)))
@@ -230,7 +234,7 @@ def _filtered(
 ) -> tuple[Array, Array, Callable[..., Array], float]:
     """Return common times (k,), the torque (k,) there, the deflection as a spline, and the highest frequency, Hz.
 
-    Both are low-passed alike above the band that they have in common.
+    One low-pass filter removes from both what lies above their common band.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, csd, sosfiltfilt

@@ -40,8 +40,8 @@ def in_order(
 ) -> tuple[dict[str, Array], Rows, list[str]]:
     """Return the channels and the numbers of their rows in the order of time, and sentences about what was mended.
 
-    unit: of the time, s. one_clock: whether times may not go back. Raises WrongUse for times that are missing in many
-    rows, or that go back again and again.
+    unit: unit of the stamps, s. one_clock: whether to refuse stamps that go back. Raises WrongUse for times that are
+    missing in many rows, or that go back again and again.
     """
     known, said = np.isfinite(channels["time"]), list[str]()
     count, bad = len(known), np.flatnonzero(~known)
@@ -72,9 +72,10 @@ def in_order(
 
 
 def _unwrapped(time: Array, unit: float) -> tuple[Array, float]:
-    """Return stamps (n,), s, that go on where a counter began anew, and the counter's range, s, 0 if none did.
+    """Return stamps (n,), s, that continue where a counter wrapped around, and the counter's range, s; 0 without a
+    wrap.
 
-    unit: of the column, s. A counter of 16, 24 or 32 bits, or of the time of day, is certain where every step back
+    unit: unit of the column, s. A counter of 16, 24 or 32 bits, or a time of day, is recognised if every step back
     leads from the end of its range to the beginning.
     """
     steps = np.diff(time)
@@ -93,11 +94,11 @@ def _unwrapped(time: Array, unit: float) -> tuple[Array, float]:
 
 
 def _order(time: Array) -> Rows:
-    """Return the order (n,) in which the stamps (n,), s, rise; the order they have, if they were not only written out
-    of order.
+    """Return the order (n,) in which the stamps (n,), s, rise, if the rows were only written out of order; otherwise
+    the present order.
 
-    Rows that two threads wrote fill the holes that they left. Where a clock was set back, or a second run begins, the
-    rows would be denser than elsewhere.
+    Rows that two threads wrote out of order fill gaps when they are sorted. Where a clock was set back, or a second run
+    begins, sorted rows would be denser than elsewhere.
     """
     rising = np.argsort(time, kind="stable")
     places = np.arange(len(time))
@@ -115,7 +116,7 @@ def _order(time: Array) -> Rows:
 
 
 def _astray(time: Array) -> NDArray[np.bool_]:
-    """Return which stamps (n,), s, are wrong and stand alone: 0, or far ahead, between rows whose stamps rise."""
+    """Return which stamps (n,), s, are single wrong stamps: 0, or far ahead, between rows whose stamps rise."""
     low = time < np.maximum.accumulate(time)
     high = time > np.minimum.accumulate(time[::-1])[::-1]
     wrong = min(low, high, key=np.count_nonzero)
@@ -124,9 +125,9 @@ def _astray(time: Array) -> NDArray[np.bool_]:
 
 
 def _continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
-    """Return stamps (n,), s, that go on after a pause where they go back, and what was found there; "" for nothing.
+    """Return stamps (n,), s, with a pause in place of each step back, and a sentence about these steps; "" without any.
 
-    rows (n,): the numbers of the rows. Raises WrongUse if they go back so often that they are no time.
+    rows (n,): the numbers of the rows. Raises WrongUse if the stamps go back so often that they are no time.
     """
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0.0)
@@ -154,7 +155,7 @@ def decoded(values: Array, code: str) -> Array:
     """Return the numbers (n,) with their sign.
 
     code: "wrap=65536" for two's complement of 16 bits, or an encoder that begins anew at 65536; "sign=1024" for a sign
-    bit of value 1024 above the magnitude; "none". Raises WrongUse for any other code.
+    bit of value 1024 above the magnitude; "none" for numbers with a sign. Raises WrongUse for any other code.
     """
     if code == "none":
         return values
@@ -175,10 +176,10 @@ def size_of(code: str) -> float:
 
 
 def recognised(torque: Array, dtheta: Array) -> tuple[str, str]:
-    """Return the codes of torque and deflection (n,), in the units of their columns; "none" for one with its sign.
+    """Return the codes of torque and deflection (n,), in the units of their columns; "none" for a column with its sign.
 
-    A code is certain where the column has no negative number, is smoother when it is decoded, and where the deflection
-    and its rate then explain most of the torque that they do not explain as it is.
+    A code is recognised if the column has no negative number and is smoother when decoded, and if deflection and rate
+    then explain most of the torque that they do not explain without decoding.
     """
     good = np.isfinite(torque) & np.isfinite(dtheta)
     pairs = list(product(["none", *_possible(torque[good])], ["none", *_possible(dtheta[good])]))
@@ -190,7 +191,7 @@ def recognised(torque: Array, dtheta: Array) -> tuple[str, str]:
 
 
 def _possible(values: Array) -> Iterator[str]:
-    """Yield the codes that make a column (n,) without a negative number smoother."""
+    """Yield the codes that make a column (n,), which has no negative number, smoother."""
     if len(values) < 3 or values.min() < 0.0 or not (count := _count(values)):
         return
     top = float(values.max()) / count
@@ -219,7 +220,7 @@ def _roughness(values: Array) -> float:
 
 
 def _unexplained(torque: Array, dtheta: Array) -> float:
-    """Return the share of the torque's variance that deflection and rate do not explain."""
+    """Return the fraction of the torque's variance that deflection and rate do not explain."""
     torque, dtheta = torque[:_ROWS], dtheta[:_ROWS]
     if np.ptp(torque) == 0.0:
         return 1.0

@@ -35,8 +35,8 @@ class Value(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """The values in rows. read: the number of rows. stamps: of those with values, ns. values: the columns by heading,
-    (n,) each. joint: the name left out of the paths. joints: the outermost names in all paths.
+    """The values in rows. read: the number of rows. stamps: of the rows with values, ns. values: the columns by
+    heading, (n,) each. joint: the name left out of the paths. joints: the outermost names in all paths.
     """
 
     read: int
@@ -51,9 +51,9 @@ def columns(
 ) -> Columns:
     """Return the values in nested rows as columns. A value that a row lacks is NaN.
 
-    rows: each with its stamp, ns. joint: only values with this name in their path are returned, from the rows that have
-    any; a path is then its last part alone, as far as that is unique. alone: the same for the only name, if there is
-    one name. beside: names that stand beside all rows. Raises WrongUse for more than 10,000 columns.
+    rows: each with its stamp, ns. joint: return only values with this name in their path; their headings are the last
+    part of the path, where that is unique. alone: if there is only one name, treat it as `joint`. beside: names that
+    stand beside all rows. Raises WrongUse for more than 10,000 columns.
     """
     stamps, kept, joints, read = array("q"), dict[tuple[str, ...], Any](), dict[str, None](), 0
     for stamp, row in rows:
@@ -86,7 +86,9 @@ def written(path: Sequence[str]) -> str:
 
 
 def names_of(fields: Iterable[Any]) -> dict[int, tuple[str, ...]]:
-    """Return the lists of names among the fields of a row; of lists with as many names, each with all its names."""
+    """Return the lists of names among the fields of a row, by length. Lists of the same length are joined name
+    by name.
+    """
     found: dict[int, tuple[str, ...]] = {}
     for value in fields:
         if _is_names(value):
@@ -101,7 +103,9 @@ def _is_names(value: Any) -> bool:
 
 
 def _without(joint: str, paths: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return the paths of one joint's values without its name: the last part of each, as far as that is unique."""
+    """Return the paths of one joint's values without the joint's name, shortened to the last part where that is
+    unique.
+    """
     left = [tuple(part for part in path if part != joint) or path for path in paths]
     lasts = [path[-1] for path in left]
     return [path[-1] if lasts.count(path[-1]) == 1 else written(path) for path in left]
@@ -143,7 +147,7 @@ def _elements(path: tuple[str, ...], named: tuple[str, ...], values: Any, beside
 
 
 def _own_names(values: Any) -> tuple[str, ...]:
-    """Return the names of objects in a list that have each their own: "motor 1" of a DiagnosticStatus; else none."""
+    """Return the names of the objects in a list, such as "motor 1" of a DiagnosticStatus; () unless each has a name."""
     parts = [_fields(item) or {} for item in values] if isinstance(values, list) else []
     for field in _NAMING:
         found = tuple(str(part[field]) for part in parts if isinstance(part.get(field), str | int))

@@ -40,9 +40,9 @@ _KINDS: Final = "a torque, an angle, a current or a voltage"
 class Column:
     """The column of a table from which a channel is imported.
 
-    name: of the column, or a sum of columns. unit: None: the unit in the heading ("tau [mN m]", "tau_mNm", "tau/mNm").
-    scale: a further factor on the values; -1 inverts the sign. code: how the numbers have their sign, as in
-    `mending.decoded`; None: they are refused if they lack it.
+    name: of the column, or a sum of columns. unit: if None, that of the heading ("tau [mN m]", "tau_mNm", "tau/mNm").
+    scale: a further factor on the values; -1 inverts the sign. code: how the numbers encode their sign, such as
+    "wrap=65536"; None: numbers that lack their sign are refused.
     """
 
     name: str
@@ -52,8 +52,8 @@ class Column:
 
 
 class Part(NamedTuple):
-    """A column in the sum that gives a channel. title: its heading. unit: None if nobody states it. factor: its weight,
-    without that of the unit. named: as the user named it.
+    """A column in the sum that gives a channel. title: its heading. unit: None if neither heading nor user states it.
+    factor: its weight in the sum, without conversion of units. named: the user's name for it.
     """
 
     title: str

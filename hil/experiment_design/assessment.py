@@ -230,7 +230,7 @@ def _unit(mode: Quantity) -> str:
 
 
 def worst_shares(task: Task, profile: Profile) -> Peaks:
-    """Return each peak divided by its limit, at its largest for Kc and Bc within `ROUGH_RANGE`."""
+    """Return each peak divided by its limit: the largest ratio over all Kc and Bc within `ROUGH_RANGE`."""
     joints = [
         replace(task.joint, stiffness=task.joint.stiffness * stiffer, damping=task.joint.damping * thicker)
         for stiffer, thicker in itertools.product(*ROUGH_RANGE)
@@ -240,8 +240,8 @@ def worst_shares(task: Task, profile: Profile) -> Peaks:
 
 
 def rounded(value: float, *, down: bool = False) -> float:
-    """Return a number rounded to three significant digits, as the printed command has it. down: whether to round down
-    only.
+    """Return a number rounded to three significant digits, as in the printed command. down: whether to round
+    down only.
     """
     unit = 10.0 ** (math.floor(math.log10(value)) + 1 - _DIGITS)
     steps = math.floor(value / unit * (1.0 + 1e-12)) if down else round(value / unit)

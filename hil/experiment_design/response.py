@@ -150,8 +150,8 @@ def _oscillator(joint: Joint, command: Array, step: float) -> tuple[Array, Array
 
 
 def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, rate: float) -> tuple[Motion, Peaks]:
-    """Return motion and peaks for a prescribed course of the deflection, with rate and acceleration, given at `steps`
-    points a tick.
+    """Return motion and peaks for a prescribed deflection. course: deflection, rate and acceleration at `steps` points
+    a tick.
     """
     dtheta, velocity, acceleration = course
     torque = joint.stiffness * dtheta + joint.damping * velocity

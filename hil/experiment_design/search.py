@@ -88,7 +88,9 @@ class _Search:
         self._reach = reach
 
     def judge(self, kind: str, low: float, high: float) -> None:
-        """Assess the band nearest to the given one that is possible, unless it is too narrow or was assessed before."""
+        """Assess the possible band that is nearest to `low` to `high`, Hz, unless it is too narrow or was assessed
+        before.
+        """
         low, high = rounded(max(low, self._reach[0])), rounded(min(high, self._reach[1]))
         if EXCITATIONS[kind].from_zero:
             low = self._reach[0]

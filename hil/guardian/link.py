@@ -17,7 +17,7 @@ Send = Callable[[bytes], None]
 
 
 def opened(way: dict[str, Any]) -> Send:
-    """Return a function that sends over the link that `way` describes: the fields of `drivers.off_path.OffPath`.
+    """Return a function that sends over the link that `way` describes. way: the fields of `drivers.off_path.OffPath`.
 
     Raises OSError if the bus cannot be opened a second time.
     """

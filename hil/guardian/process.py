@@ -3,8 +3,8 @@
 Before a fault occurs, the guardian has everything it needs: an open link, the frames that switch the torque off, and
 the time at which the guarded process must give its next sign of life. The guardian sends these frames if the guarded
 process has ended, is stopped, is late, or runs longer than its profile. A guarded process that continues later reads in
-`Word.FIRED` that it must not. The module uses the standard library only. The process has its own session and ignores
-the signals of a terminal.
+`Word.FIRED` that it must not drive the motor any more. The module uses the standard library only. The process has its
+own session and ignores the signals of a terminal.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Parent:
         return bool(int(self._stat()[6]) & _ENDING)
 
     def _stat(self) -> list[bytes]:
-        """Return the fields of the guarded process in /proc/PID/stat that follow its name: see proc(5)."""
+        """Return the fields after the name in /proc/PID/stat of the guarded process (manual page proc(5))."""
         if self._state < 0:
             return _UNKNOWN
         try:
@@ -160,7 +160,8 @@ class Guardian:
     def fire(self, reason: Reason) -> None:
         """Send torque-off again and again until the guarded process has ended, then restore the drive's settings.
 
-        A process that was stopped may come back and send one stale set-point. Raises StandDown if it takes over.
+        A process that was stopped may come back and send one stale set-point. Raises StandDown if the guarded process
+        takes over.
         """
         self._words[Word.FIRED] = int(reason)
         if self._descriptor >= 0:

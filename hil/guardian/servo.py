@@ -41,7 +41,7 @@ class GuardedClock(MonotonicClock):
         self._beat = beat
 
     def sleep_until(self, t: float) -> None:
-        """Wait until `t` s; return at once if `t` has passed. Raises as `GuardedServo.beat`."""
+        """Wait until `t` s; return at once if `t` has passed. Raises GuardianFired, GuardianLost."""
         while self.now() + _SLICE < t:
             self._beat()
             time.sleep(_SLICE)
@@ -55,8 +55,8 @@ class GuardedServo:
 
     The guardian runs from arming until `close`. If opening the servo has changed a setting of the drive, the guardian
     runs from the opening on, so that the setting is restored even if this process is killed before arming. After the
-    guardian has acted, only the torque-off is sent: see `exchange`. Raises DriverError if the guardian cannot be
-    started.
+    guardian has acted, `exchange` sends nothing, and only the torque-off is sent. Raises DriverError if the guardian
+    cannot be started.
     """
 
     def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
@@ -90,9 +90,7 @@ class GuardedServo:
             self._guardian.beat()
 
     def arm(self, limits: Limits) -> None:
-        """Start the guardian, then arm the servo. Raises as the servo does, and DriverError if the guardian cannot be
-        started.
-        """
+        """Start the guardian, then arm the servo. Raises DriverError, also if the guardian cannot be started."""
         if self._guardian is None:
             self._guardian = self._started()
         guardian = self._guardian
@@ -111,8 +109,8 @@ class GuardedServo:
         guardian.beat()
 
     def exchange(self, command: Command) -> Sample:
-        """Send a command and return the servo's sample. Raises as the servo does; raises GuardianFired or GuardianLost
-        before anything is sent.
+        """Send a command and return the servo's sample. Raises DriverError, or GuardianFired or GuardianLost before
+        anything is sent.
         """
         if self._beating and self._guardian is not None:
             self._guardian.check()

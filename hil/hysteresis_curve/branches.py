@@ -41,7 +41,9 @@ class Torsion:
 
     @property
     def guide(self) -> Array:
-        """Return what turns back at the end of a stroke: the set-point, or the torque without one."""
+        """Return the signal (n,) that reverses at the end of a stroke: the set-point, or without a set-point the
+        torque.
+        """
         return self.torque if self.setpoint is None else self.setpoint
 
     def check_slow(self) -> None:

@@ -102,7 +102,8 @@ def measure(
     """Return the measures of tests of one joint.
 
     rated: N m; None: the torque that every branch under load reaches. parts: N m; () for 0 to 15 % and 15 to 100 % of
-    it. at: N m; None for 3 % of it. Raises Untrustworthy if a test is not slow, or no branch is long enough.
+    the rated torque. at: N m; None for 3 % of the rated torque. Raises Untrustworthy if a test is not slow, or no
+    branch is long enough.
     """
     for test in tests:
         test.check_slow()
@@ -150,7 +151,8 @@ def _stiffness(branches: Sequence[Branch], parts: Sequence[tuple[float, float]])
 
 
 def _rated(cut: Mapping[str, Sequence[Branch]]) -> float:
-    """Return the torque, N m, that is taken as rated: `_REACHED` of what every test reaches, loading in each direction.
+    """Return the torque, N m, that is taken as rated: the fraction `_REACHED` of the torque that every test reaches in
+    both directions.
 
     0 if no branch is loading.
     """
@@ -180,7 +182,7 @@ def _line(branch: Branch, part: tuple[float, float]) -> tuple[float, float] | No
 def _loops(branches: Sequence[Branch]) -> list[tuple[list[Branch], list[Branch]]]:
     """Return the strokes with rising torque, each with the stroke with falling torque that closes the loop.
 
-    Of a test that begins and ends without torque, the last branch continues in the first.
+    If a test begins and ends without torque, its last branch continues in its first branch.
     """
     strokes: dict[int, list[Branch]] = {}
     for one in branches:
@@ -195,7 +197,7 @@ def _loops(branches: Sequence[Branch]) -> list[tuple[list[Branch], list[Branch]]
 
 
 def _loop(rising: Sequence[Branch], falling: Sequence[Branch], at: float, rated: float) -> dict[str, float]:
-    """Return the measures of one loop, NaN for what it does not show."""
+    """Return the measures of one loop; NaN for a measure that the loop does not show."""
     up, down = (_joined(stroke) for stroke in (rising, falling))
     middle = [0.5 * (_angle(up, torque) + _angle(down, torque)) for torque in (-at, at)]
     lines = [_line(one, (LINEAR * rated, rated)) for one in (*rising, *falling) if one.loading]

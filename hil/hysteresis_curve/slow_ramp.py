@@ -1,4 +1,4 @@
-"""Recognise a slow ramp whose loop no model can explain, before a long search for one."""
+"""Recognise a slow ramp whose loop no model can explain, before a long search for a model."""
 
 from __future__ import annotations
 

@@ -29,8 +29,8 @@ _DISTINCT = 1e-8  # reciprocal condition from which the three columns are distin
 class LeastSquares:
     """Estimates Kc, Bc and an offset of the torque by recursive least squares over all rows so far.
 
-    The sums of products are stored (information form). This is the recursive estimate without forgetting, and needs no
-    starting covariance (Ljung 1999, section 11.2).
+    Only sums of products are stored (information form). So no starting covariance is needed, and no row is forgotten
+    (Ljung 1999, section 11.2).
     """
 
     products: Array = field(default_factory=lambda: np.zeros((3, 3)))

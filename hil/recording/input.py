@@ -49,7 +49,7 @@ def open_input(path: Path, *, largest: int) -> BufferedReader:
 
 
 def missing(path: Path) -> str:
-    """Return what to do about a file that cannot be opened: if a run left its `.part` there, how to read that."""
+    """Return advice about a file that cannot be opened: if a run left its `.part` there, how to read the `.part`."""
     part = path.with_name(path.name + ".part") if path.name else path
     with suppress(OSError, ValueError):
         if part.is_file() and not path.exists():
@@ -58,7 +58,9 @@ def missing(path: Path) -> str:
 
 
 def read_text(path: Path, *, largest: int) -> str:
-    """Return the text of a file in UTF-8, with or without a byte-order mark. Raises WrongUse as `open_input` does."""
+    """Return the text of a file in UTF-8, with or without a byte-order mark. Raises WrongUse if the file is too large
+    or is no regular file.
+    """
     with open_input(path, largest=largest) as file:
         data = file.read()
     try:
@@ -68,13 +70,13 @@ def read_text(path: Path, *, largest: int) -> str:
 
 
 def bounded(source: Path, work: Callable[[], Answer]) -> Answer:
-    """Return the answer of `work`, a function that reads the file or folder `source` with a library, from a copy of
-    this process.
+    """Return the result of `work`, a function that reads the file or folder `source` with a library. It runs in a copy
+    of this process.
 
     A small file may unpack to any size, and a damaged one may crash a library or keep it busy for ever. The copy has
-    512 MiB of memory and 6 s of processor time, and more in proportion to the size of the file. Raises WrongUse where
-    that is not enough, where the library crashes, for whatever `work` raises, and for a file of gzip or zip that
-    unpacks to 100 times its size.
+    512 MiB of memory and 6 s of processor time, and more in proportion to the size of the file. Raises WrongUse if that
+    is not enough, if the library crashes, if `work` raises any error, and for a file of gzip or zip that unpacks to 100
+    times its size.
     """
     size = _size(source)
     _check_packed(source, size)
@@ -103,9 +105,7 @@ def bounded(source: Path, work: Callable[[], Answer]) -> Answer:
 
 
 def _check_packed(source: Path, size: int) -> None:
-    """Raise WrongUse for a file of gzip or zip that unpacks to too many bytes; what is neither, or is damaged,
-    passes.
-    """
+    """Raise WrongUse for a file of gzip or zip that unpacks to too many bytes. Any other or damaged file passes."""
     most = max(_SMALL, _COMPRESSION * size)
     unpacked = 0
     if source.is_dir():

@@ -1,4 +1,4 @@
-"""The rows from one time to another: of a table, on the clock of its file, or of a recording, in s of its time."""
+"""The rows between two times: of a table, by the clock of its file, or of a recording, by its time, s."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DAY = 86_400.0  # s
 class Part(NamedTuple):
     """The rows of a recording from one time to another, both included. None: no bound.
 
-    A bound is a number, s, a quantity of pint, or a text as in `rows_between`.
+    A bound is a number, s, a quantity of pint, or a text such as "2 min".
     """
 
     path: Path
@@ -40,7 +40,7 @@ def path_of(given: Given) -> Path:
 
 
 def between(given: Sequence[Given], first: Any, last: Any) -> list[Given]:
-    """Return the rows of each recording between two times, None: no bound. Raises WrongUse if it is a part already."""
+    """Return the part of each recording between two times, None: no bound. Raises WrongUse if one is a part already."""
     if first is None and last is None:
         return list(given)
     for one in given:
@@ -59,9 +59,9 @@ def named(path: Path, window: tuple[float, float] | None) -> str:
 def rows_between(source: Path, time: Array, unit: float, first: Any, last: Any) -> NDArray[np.bool_]:
     """Return which rows (n,) are from `first` to `last`, both included; None: no bound.
 
-    time (n,): as in the file, s. unit: s; that of a bound without a unit. A bound is a number, or a text: a time as the
-    file has it ("12.5", "2 min"), a date and time, or a time of day. Raises WrongUse, with the times of the file, if no
-    row is left.
+    time (n,): as in the file, s. unit: the unit, in s, of a bound that states none. A bound is a number, or a text: a
+    time as the file has it ("12.5", "2 min"), a date and time, or a time of day. Raises WrongUse, with the times of the
+    file, if no row is left.
     """
     known = time[np.isfinite(time)]
     if not known.size:

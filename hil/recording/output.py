@@ -86,7 +86,9 @@ def check_folder(folder: Path) -> None:
 
 
 def _check_writable(folder: Path) -> None:
-    """Raise OSError if no file can be made in `folder`: permissions do not say it for root, nor on every disk."""
+    """Raise OSError if no file can be made in `folder`. This is tried, because root's permissions, or some disks, do
+    not show it.
+    """
     with tempfile.TemporaryFile(dir=folder):
         pass
 
@@ -219,8 +221,8 @@ def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
     """Yield the path of a new file in the folder of `path`. After the block, the new file is renamed to `path`, so that
     a result appears complete or not at all.
 
-    The new file is locked, as in `new_temporary`. force: whether an existing regular file at `path` is replaced;
-    anything else is never replaced. Raises WrongUse if the file may not be replaced, or if `path` cannot be written.
+    The new file is locked until then. force: whether an existing regular file at `path` is replaced; anything else is
+    never replaced. Raises WrongUse if the file may not be replaced, or if `path` cannot be written.
     """
     with writing(path):
         locked, temporary = new_temporary(path)
@@ -241,7 +243,7 @@ def atomic_write(path: Path, *, force: bool) -> Iterator[Path]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Convert the system's error in the block, that an output cannot be written, to a WrongUse."""
+    """Convert an OSError in the block, which means that an output cannot be written, to a WrongUse."""
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three

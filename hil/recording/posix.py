@@ -58,7 +58,7 @@ if sys.platform == "win32":
         """Make a new name in `folder` durable: the system does so by itself."""
 
     def in_child(work: Callable[[], Answer], *, processor: int, memory: int) -> Answer | None:
-        """Return the answer of `work`, which is not limited here."""
+        """Return the result of `work`; this system has no limits for it."""
         del processor, memory
         return work()
 
@@ -82,7 +82,7 @@ else:
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
 
     def remove(file: int, path: Path) -> None:
-        """Close the open file at `path` and remove it, with nobody in between."""
+        """Close the open file at `path` and remove it; no other process can open it in between."""
         try:
             path.unlink()
         finally:
@@ -117,10 +117,12 @@ else:
             os.close(opened)
 
     def in_child(work: Callable[[], Answer], *, processor: int, memory: int) -> Answer | None:
-        """Return the answer of `work` from a copy of this process: anything but None that can be pickled.
+        """Return the result of `work`, which runs in a copy of this process. The result must not be None and must be
+        picklable.
 
-        The copy ends after `processor` s of processor time, and has `memory` bytes more than this process. None where
-        `work` exceeds a limit, crashes or raises. Raises WrongUse and Untrustworthy as `work` does.
+        The copy ends after `processor` s of processor time, and has `memory` bytes more than this process. Raises the
+        WrongUse or Untrustworthy of `work`. Return None after any other error, after a crash, and if a limit is
+        exceeded.
         """
         reading, writing = os.pipe()
         with warnings.catch_warnings():

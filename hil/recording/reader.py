@@ -3,16 +3,14 @@
 Layout of a finished file (all numbers little-endian, SI)::
 
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
-                     command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples),
-                     sha256_stored (of the same as stored), sha256_header (of the rest), lateness_p50, lateness_p99,
-                     lateness_max (s, of the set-points; NaN for other data), missed (ticks that were skipped)
-    /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels;
-                     torque and joint_torque are one dataset with two names where they are equal
-    /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
-                     band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate
-                     (Hz); of an import: kind, source, where
-    /events/         time (s), code, message
-    /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
+    command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples), sha256_stored (of the
+    samples as compressed), sha256_header (of the rest), lateness_p50, lateness_p99, lateness_max (s, of the set-points;
+    NaN for other data), missed (ticks that were skipped) /samples/        one 1-D dataset a channel, equal length,
+    attrs unit and description: see hil.recording.channels; torque and joint_torque are one dataset with two names where
+    they are equal /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint),
+    duration (s), band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate (Hz);
+    of an import: kind, source, where /events/         time (s), code, message /truth/          attrs, only from a
+    simulator: the true Kc, Bc, ...; never read by identification
 
 Three hashes tell whether the file was changed; `hil.recording.integrity` computes them:
 
@@ -99,11 +97,11 @@ class Event(NamedTuple):
 class Recording:
     """An open recording, finished or not. `len(recording)` is the number of rows.
 
-    given: the file, or a part of it, of which only these rows are read. window: the times of the first and the last of
-    them, s; None for the whole file. attributes: those of the file's root. profile: the excitation, with the attribute
-    names of the newest schema. complete: whether the run ended as planned. live: whether the file has the layout of a
-    recording in progress. Raises WrongUse for a file that is no recording or has an unknown schema, and for a part
-    without rows, Untrustworthy for a damaged recording.
+    given: the file, or a part of it; then only the rows of the part are read. window: the times of the first and the
+    last row of the part, s; None for the whole file. attributes: those of the file's root. profile: the excitation,
+    with the attribute names of the newest schema. complete: whether the run ended as planned. live: whether the file
+    has the layout of a recording in progress. Raises WrongUse for a file that is no recording or has an unknown schema,
+    and for a part without rows, Untrustworthy for a damaged recording.
     """
 
     def __init__(self, given: Given) -> None:
@@ -128,7 +126,7 @@ class Recording:
             raise
 
     def _narrow(self, part: Part) -> None:
-        """Leave only the rows from the first to the last one between two times. Raises WrongUse if there are none."""
+        """Restrict the recording to the rows between the two times of `part`. Raises WrongUse if there are none."""
         blocks = range(0, self._whole, BLOCK)
         time = np.concatenate([np.empty(0), *(self.channel("time", start, start + BLOCK) for start in blocks)])
         kept = np.flatnonzero(rows_between(self.path, time, 1.0, part.first, part.last))
@@ -156,7 +154,7 @@ class Recording:
             )
 
     def _has_outline(self) -> bool:
-        """Read everything except the rows, and return True. Raises as the methods below do."""
+        """Read everything except the rows, and return True. Raises WrongUse, Untrustworthy."""
         with open_file(self.path) as self._file, legible(self.path):
             self._read_header()
             self.events()
@@ -203,7 +201,9 @@ class Recording:
         return self._rows(self._first, self._first + self._length, block)
 
     def _rows(self, first: int, end: int, block: int = BLOCK) -> Iterator[tuple[int, Rows]]:
-        """Yield the rows of the file from `first` to before `end` as `rows` does."""
+        """Yield the rows from `first` to before `end` in blocks of `block` rows, each with the index of its
+        first row.
+        """
         for start in range(first, end, block):
             stop = min(start + block, end)
             source = self._live_rows(start, stop) if self.live else None
@@ -239,7 +239,7 @@ class Recording:
             return {} if group is None else {name: float(value) for name, value in group.attrs.items()}
 
     def verify(self, progress: Progress | None = None) -> bool:
-        """Return whether header, rows and events are as they were written. Raises as reading them does.
+        """Return whether header, rows and events are as they were written. Raises WrongUse, Untrustworthy.
 
         progress: called with the fraction of the rows that have been checked. A recording of an older schema is checked
         with the hash that it has; an unfinished recording of such a schema has no hash.

@@ -1,4 +1,6 @@
-"""The command lines that the page can start: a table of what may stand in each, so that no text becomes an option."""
+"""The command lines that the page can start: a table of the fields allowed in each, so that no text becomes an
+option.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +22,8 @@ _EXPORTS: Final = (".csv", ".parquet", ".mat", ".mcap", ".xml", ".urdf", ".sdf",
 
 
 class Line(NamedTuple):
-    """A command line. words: after `hil`. output: the file that it writes. moves: whether the motor may be driven.
-    module: what is run with the words.
+    """A command line. words: its words after `hil`. output: the file that it writes. moves: whether the motor may be
+    driven. module: the Python module that runs the words.
     """
 
     kind: str
@@ -32,7 +34,7 @@ class Line(NamedTuple):
 
 
 def line_of(wanted: Mapping[str, Any], folder: Folder) -> Line:
-    """Return the command line for what the page asks: texts by name, "kind" among them. Raises WrongUse."""
+    """Return the command line for a request of the page. wanted: texts by name, "kind" among them. Raises WrongUse."""
     makers: dict[str, Callable[[Mapping[str, Any], Folder], Line]]
     makers = {"readings": _readings, "doctor": _doctor, "record": _record, "identify": _identify, "compare": _compare}
     makers |= {"export": _export, "design": _design, "stand": _stand}
@@ -51,7 +53,7 @@ def text_of(wanted: Mapping[str, Any], name: str) -> str:
 
 
 def options(wanted: Mapping[str, Any], names: Sequence[str]) -> list[str]:
-    """Return the fields that are filled in as options. Raises WrongUse."""
+    """Return the non-empty fields of `names` as options of the command line. Raises WrongUse."""
     return [f"--{name}={text}" for name in names if (text := text_of(wanted, name))]
 
 

@@ -40,7 +40,9 @@ class Folder:
         return self.place / "recordings"
 
     def inside(self, name: str) -> Path:
-        """Return the file `name` of this folder, relative to it. Raises WrongUse if it is none."""
+        """Return the path of the file `name`, relative to this folder. Raises WrongUse if the file is not in this
+        folder.
+        """
         with suppress(OSError, ValueError):
             found = (self.place / name).resolve(strict=True)
             if found.is_file() and found.is_relative_to(self.place):
@@ -62,14 +64,14 @@ class Folder:
     def listed(self, first: int, wanted: str) -> tuple[list[dict[str, Any]], int]:
         """Return a page of the recordings, newest first, from number `first` on, and how many there are.
 
-        wanted: a text that the name contains, "" for all. Only those of the page are looked at, so that 10,000 of them
-        cost no more than their names and dates.
+        wanted: a text that the name contains, "" for all. Only the recordings of the page are opened; of the others,
+        only name and date are read.
         """
         dated = sorted((one for one in self._dated(_SUFFIXES) if wanted.casefold() in one[1].casefold()), reverse=True)
         return [self._entry(name, changed) for changed, name in dated[first : first + _PAGE]], len(dated)
 
     def _dated(self, suffixes: tuple[str, ...]) -> Iterator[tuple[float, str]]:
-        """Yield date and name of each recording here and in the folders here."""
+        """Yield date and name of each recording in this folder and its direct subfolders."""
         inner = (f"{one.name}/" for one in os.scandir(self.place) if one.is_dir() and one.name[0] != ".")
         for folder in ("", *inner):
             with suppress(OSError):
@@ -104,7 +106,7 @@ def _described(file: str, stand: Stand) -> dict[str, Any]:
 
 
 def questions(backend: str) -> list[dict[str, Any]]:
-    """Return the questions of `hil stand new` for a drive, each with its default and the answers that are known.
+    """Return the questions of `hil stand new` for a drive, each with its default and its known answers.
 
     Raises WrongUse.
     """
@@ -116,7 +118,7 @@ def questions(backend: str) -> list[dict[str, Any]]:
 
 
 def _title(page: Path) -> str:
-    """Return the answer in the title of a report of hil, "" if there is none."""
+    """Return the answer in the title of a report of hil, "" without a title."""
     with suppress(OSError), page.open("rb") as file:
         found = _TITLE.search(file.read(_HEAD).decode("utf-8", errors="replace"))
         return html.unescape(found[1]).strip() if found else ""
@@ -124,7 +126,7 @@ def _title(page: Path) -> str:
 
 
 def is_report(page: Path) -> bool:
-    """Return whether `page` is there and a report of hil, which a later one may replace."""
+    """Return whether `page` exists and is a report of hil, which a later report may replace."""
     return bool(_title(page))
 
 

@@ -27,7 +27,7 @@ _RECENT = 500  # rows from which the lateness is taken
 
 
 class Growing:
-    """The recording in progress at `path`, mapped into memory. Raises OSError and KeyError if it is none."""
+    """The recording in progress at `path`, mapped into memory. Raises OSError or KeyError for any other file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -58,8 +58,8 @@ class Growing:
         """Return the rows from number `first` on as one frame, and the number of the row after them.
 
         The frame is the first row's number and the number of rows, two uint32, the first row's time, float64 in s, and
-        for each channel of `SHOWN` its values as float32, the time relative to the first. A reader that is further
-        behind than the traces are long gets the newest rows only. An empty frame if there is no new row.
+        for each channel of `SHOWN` its values as float32, the time relative to the first. A reader that lags by more
+        than the length of the traces gets the newest rows only. An empty frame if there is no new row.
         """
         end = self._state.count
         first = max(first, end - int(WINDOW * (self.rate or 1.0)))
@@ -71,7 +71,7 @@ class Growing:
         return struct.pack("<IId", first, end - first, begin) + values.tobytes(), end
 
     def figures(self) -> dict[str, Any]:
-        """Return what the page shows beside the traces, SI; None where a number is not known yet."""
+        """Return the numbers that the page shows beside the traces, SI; None for a number that is not known yet."""
         state = self._state
         recent = self._rows[max(0, state.count - _RECENT) : state.count]
         late = recent["time"] - recent["seq"] / self.rate if self.rate and len(recent) else np.full(1, np.nan)
@@ -97,7 +97,8 @@ def _known(value: float) -> float | None:
 def recorder_of(part: Path) -> int | None:
     """Return the process id of the recorder that writes `part`; None if there is none, or where it cannot be found.
 
-    Of the processes of this user that have the file open for writing, it is the one that no other of them started.
+    Among this user's processes that have the file open for writing, the recorder is the one that none of the others
+    started.
     """
     writers = {}
     for folder in Path("/proc").glob("[0-9]*"):

@@ -1,8 +1,8 @@
-"""Who may use the page: one ASGI middleware for requests and websockets, and the token that lets a browser in.
+"""Access control of the page: one ASGI middleware for requests and websockets, and the token that admits a browser.
 
 A page of another site can send requests to 127.0.0.1 from the browser of the person at the bench. The fixed list of
-hosts stops one whose name was rebound to 127.0.0.1; the origin and the cookie stop the others. Websockets obey neither
-CORS nor the same-origin policy, so that their origin is checked here as well.
+hosts refuses a page whose host name was rebound to 127.0.0.1; the checks of origin and cookie refuse all others.
+Browsers apply neither CORS nor the same-origin policy to websockets, so their origin is checked here as well.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Access:
         self._token = ""
 
     def link(self) -> str:
-        """Return a new link; a link that was made before and not opened is void.
+        """Return a new link; an earlier link that was not opened becomes invalid.
 
         The token stands behind '#': no log, no Referer header and no program that fetches links in advance sees it.
         """
@@ -51,14 +51,14 @@ class Access:
         return f"http://127.0.0.1:{self.port}/#{self._token}"
 
     def spend(self, token: str) -> bool:
-        """Return whether `token` is the one of the link, which is void from then on."""
+        """Return whether `token` is the link's token, and make the link invalid if it is."""
         right = bool(self._token) and secrets.compare_digest(token.encode(), self._token.encode())
         if right:
             self._token = ""
         return right
 
     def refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Return the HTTP status and the reason with which a request or a websocket is refused, None if it may pass."""
+        """Return the HTTP status and the reason for refusing a request or a websocket; None if it is allowed."""
         headers = _headers(scope)
         if [*headers("host")] not in [[host] for host in self.hosts]:
             return 421, f"this page is http://127.0.0.1:{self.port}: open the link that hil studio printed"
@@ -86,7 +86,7 @@ class Guard:
         self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, as ASGI says."""
+        """Answer a request (the call of the ASGI interface)."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
@@ -109,7 +109,7 @@ def _headers(scope: Scope) -> Callable[[str], Iterable[str]]:
 
 
 def _with_headers(send: Send) -> Send:
-    """Return `send` with the headers added that a response does not set itself."""
+    """Return `send` extended by the headers that a response does not set itself."""
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -1,6 +1,6 @@
-"""The command that the page runs: a process in a session of its own, stopped by the signal that Ctrl-C sends.
+"""The command that the page runs: a process in a separate session, stopped by the signal that Ctrl-C sends.
 
-One command runs at a time, because one that computes would cost a running motor its ticks. A run in this folder that
+One command runs at a time, because a computation would make a running motor's ticks late. A run in this folder that
 another program started, such as a studio that was killed, is shown and stopped in the same way.
 """
 
@@ -37,7 +37,7 @@ _NUMBERS: Final = itertools.count(1)
 
 
 class _Foreign:
-    """The process of a run that another program started: as much of `subprocess.Popen` as a job needs."""
+    """The process of a run that another program started, with the methods of `subprocess.Popen` that a job needs."""
 
     def __init__(self, number: int, part: Path) -> None:
         self._number, self._part = number, part
@@ -52,7 +52,9 @@ class _Foreign:
 
 
 class Job:
-    """A command that runs or ran. line: its command line, in `place`. recorder: the process of a foreign run."""
+    """A command that runs or has ended. line: its command line. place: the folder in which it runs. recorder: the
+    process of a foreign run.
+    """
 
     def __init__(self, line: Line, place: Path, recorder: int | None = None) -> None:
         self.number = next(_NUMBERS)
@@ -86,11 +88,13 @@ class Job:
 
     @property
     def status(self) -> int | None:
-        """The exit status, None while it runs."""
+        """The exit status of the command, None while it runs."""
         return self._process.poll()
 
     def state(self) -> dict[str, Any]:
-        """Return what the page shows of it. `answer` is the JSON of its output, or of the last line while it runs."""
+        """Return the job's state for the page. `answer` is the JSON of its output, or of the last line while it
+        runs.
+        """
         status = self.status
         lines = _end_of(self._err).strip().splitlines()
         return {
@@ -115,7 +119,7 @@ class Job:
         return None
 
     def follow(self) -> Growing | None:
-        """Return the recording that it writes, up to date; None before there is one."""
+        """Return the recording that the command writes, updated to its newest row; None before there is one."""
         if self.growing is None and self._part is not None and self.status is None:
             with suppress(OSError, KeyError, ValueError):  # not begun yet
                 self.growing = Growing(self._part)
@@ -129,7 +133,9 @@ class Job:
         self._process.send_signal(signal.SIGINT)
 
     def end(self) -> None:
-        """Ask it to stop if it was started here, and wait a moment. It is never killed: a run ends under its guard."""
+        """Ask the command to stop if this page started it, and wait a moment. It is never killed: a run ends under its
+        guard.
+        """
         if isinstance(self._process, subprocess.Popen):
             if self.status is None:
                 self.signal()
@@ -146,7 +152,7 @@ def _end_of(file: Any) -> str:
 
 
 class Jobs:
-    """The job of the page, at most one. folder: its place."""
+    """Holds the page's job, at most one. folder: where the command runs."""
 
     def __init__(self, folder: Folder) -> None:
         self.folder = folder
@@ -171,7 +177,9 @@ class Jobs:
                 return
 
     def start(self, wanted: Mapping[str, Any]) -> Job:
-        """Start a command. Live readings make room for it. Raises WrongUse if another one runs, or if a stop came."""
+        """Start a command; live readings are ended first. Raises WrongUse if another command runs, or if a stop
+        came.
+        """
         self._unwanted.clear()
         self._launching.set()
         try:
@@ -193,15 +201,15 @@ class Jobs:
         return job
 
     def end(self) -> None:
-        """End the present job, as `Job.end` says."""
+        """Ask the present job to stop, and wait a moment."""
         if self.job is not None:
             self.job.end()
 
     def stop(self, press: str = "") -> None:
-        """Stop what runs, softly; then look for the end of the torque as often as it takes to time it.
+        """Stop the running command with a ramp-down; then check often, to measure when the torque ends.
 
-        press: names a press of STOP, which the page sends in two ways; the later one is no second stop. "": each call
-        is a stop of its own.
+        press: identifies a press of STOP. The page sends each press in two ways; the later message with the same
+        `press` is ignored. "": every call counts.
         """
         is_launching = self._launching.is_set()  # before the job is looked for, which is there when launching ends
         job = self.running

@@ -1,6 +1,6 @@
-"""The preview of a run, as a process of its own, so that its second of computing is ended when a run begins.
+"""The preview of a run, computed in a separate process that is ended when a run begins.
 
-`hil design` predicts the same, and searches the best excitation too.
+`hil design` predicts the same numbers, and also searches the best excitation.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ _DIMENSIONS: Final = {"duration": "time", "rate": "frequency", "kc": "stiffness"
 def preview(stand: str, fields: Mapping[str, str]) -> dict[str, Any]:
     """Return the preview of a run, SI. stand: a stand file or "sim". fields: the excitation, and rough "kc" and "bc".
 
-    curves: lists by name: time, command and, with a prediction, torque and dtheta. limits: peak, limit, unit and the
-    share used, by name. errors: relative standard errors of Kc and Bc, None if they are not identifiable. said: why
-    there is no prediction. Raises WrongUse for an excitation that `hil record` would refuse.
+    curves: lists by name: time, command and, with a prediction, torque and dtheta. limits: by name, the peak, the
+    limit, its unit, and peak divided by limit. errors: relative standard errors of Kc and Bc, None if they are not
+    identifiable. said: the reason if there is no prediction. Raises WrongUse for an excitation that `hil record` would
+    refuse.
     """
     opened, mode = opened_stand(stand), quantity_of(fields.get("mode", "torque"))
     units = _DIMENSIONS | {"amplitude": "torque" if mode == "torque" else "angle"}

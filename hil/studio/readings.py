@@ -1,4 +1,6 @@
-"""The live readings of a stand at rest, as a process of its own: nothing is armed, one JSON object a line."""
+"""The live readings of a stand at rest, read in a separate process, which prints one JSON object a line. Nothing is
+armed.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The server of the page: its answers, the stream of a run, and how a terminal ends it.
+"""The server of the page: its responses, the stream of a run, and how a signal ends the server.
 
 Nothing here drives a motor or switches it off: a run is another process in another session, whose recorder and guardian
 do that. If this process is killed, the run goes on to its end; a new `hil studio` in the folder shows and stops it.
@@ -53,7 +53,9 @@ _REPORT_POLICY: Final = (
 
 
 def app(access: Access, jobs: Jobs) -> App:
-    """Return the application behind its guard. access: who may ask. jobs: of the folder that it shows."""
+    """Return the ASGI application with its guard. access: token and cookie. jobs: the commands of the folder that it
+    shows.
+    """
     studio = _Studio(access, jobs)
     routes = [
         Route("/", lambda _: _static("index.html")),
@@ -149,8 +151,8 @@ class _Studio:
     async def stream(self, socket: WebSocket) -> None:
         """Send the state of the command and the rows of its recording until either side ends.
 
-        The reader waits for the end: without it a page that is gone would be written to for ever. What it reads is a
-        stop, which is here some ms before its request.
+        Reading detects that the page has closed; otherwise this method would send for ever. A message that is read is a
+        stop, which arrives some ms before the HTTP request for it.
         """
         await socket.accept()
         async with create_task_group() as group:
@@ -214,7 +216,9 @@ def _static(name: str) -> Response:
 class _Server(uvicorn.Server):
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave the signals to `_serve`: uvicorn's handlers would end the server while a motor moves."""
+        """Install no signal handlers: those of uvicorn would end the server while a motor moves. `_serve` handles the
+        signals.
+        """
         yield
 
 
@@ -237,7 +241,7 @@ def bind(port: int) -> socket.socket:
 def serve(bound: socket.socket, place: Path, say: Callable[[str], object]) -> None:
     """Serve the page of the folder `place` until a signal ends it. say: called with lines for the terminal.
 
-    Ctrl-C stops a run first, and ends the server if nothing moves; a closed terminal and a kill do both.
+    Ctrl-C stops a run; if nothing moves, it ends the server. A closed terminal and a kill do both.
     """
     access, jobs = Access(bound.getsockname()[1]), Jobs(Folder(place))
     more: dict[str, Any] = {"access_log": False, "log_config": None, "lifespan": "off", "timeout_graceful_shutdown": 1}

@@ -42,8 +42,8 @@ def campaign(
 ) -> None:
     """Record many joints one after the other, identify all, and write one report.
 
-    What is done is never repeated: after an interruption or a failure the same command resumes. A joint that fails is
-    noted and the next one goes on. Exit status 1: a recording has no result. Ctrl-C ends recording and campaign.
+    After an interruption or a failure, the same command resumes and repeats nothing. If a joint fails, the failure is
+    noted and the next joint follows. Exit status 1: a recording has no result. Ctrl-C ends recording and campaign.
     """
     from hil.campaign import conduct, page
     from hil.campaign.journal import Journal

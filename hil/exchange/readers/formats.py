@@ -97,9 +97,9 @@ def kind_of(source: Path) -> str:
 
 
 def columns(source: Path, kind: str) -> tuple[list[str], Callable[[Sequence[str]], list[Any]]]:
-    """Return the headings of a file, and a function that reads some of its columns. kind: as of `kind_of`.
+    """Return the headings of a file, and a function that reads some of its columns. kind: a module, or TEXT.
 
-    Raises WrongUse for a file that is damaged or unpacks to too much.
+    Raises WrongUse for a file that is damaged, or too large when unpacked.
     """
     read: Callable[[Path], Columns] = import_module(f"hil.exchange.readers.{kind}").read
     return bounded(source, lambda: list(read(source))), partial(_values, source, read)

@@ -22,8 +22,8 @@ _PACKING = ("_FillValue", "scale_factor", "add_offset")
 def read(source: Path) -> Columns:
     """Return the columns of all datasets by path: "run/q[:,2]", "run/table.tau"; of MATLAB's as "log.q(:,3)".
 
-    The file stays open for them. Raises WrongUse for a recording of hil, and for a file of MATLAB's that holds objects
-    only.
+    The file stays open, and each column is read when it is used. Raises WrongUse for a recording of hil, and for a file
+    of MATLAB's that holds objects only.
     """
     file = h5py.File(source)
     if {"samples", "profile"} <= set(file):
@@ -47,7 +47,7 @@ def read(source: Path) -> Columns:
 
 
 def _names_beside(item: h5py.Dataset) -> Names:
-    """Return the lists of names that stand in the group of a matrix."""
+    """Return the lists of names in the same group as a matrix."""
     near = item.parent.values() if item.ndim > 1 else ()
     texts = [one for one in near if isinstance(one, h5py.Dataset) and one.ndim == 1 and one.size <= MOST]
     return names_of(
@@ -77,7 +77,7 @@ def _parts(file: h5py.File, name: str, item: Any) -> Iterator[tuple[str, Any, st
 
 
 def _values(source: Path, dataset: Any, field: str | None, index: tuple[int | slice, ...]) -> Any:
-    """Return a column (n,); packed numbers of netCDF as what they mean."""
+    """Return a column (n,). Packed numbers of netCDF are converted to the values that they stand for."""
     if dataset.external or dataset.is_virtual:
         raise WrongUse(f"{source}: {dataset.name} keeps its data in another file: hil does not open such a file")
     if h5py.check_string_dtype(dataset.dtype) is not None:

@@ -36,9 +36,9 @@ def read(source: Path) -> Columns:
 
 
 def no_numbers(source: Path, objects: Mapping[str, str], *, alone: bool) -> dict[str, Callable[[], Any]]:
-    """Return for each of MATLAB's objects a column that refuses to be read. objects: the class of each by name.
+    """Return for each of MATLAB's objects a column that refuses to be read. objects: their classes by name.
 
-    Raises WrongUse if the file holds objects alone.
+    alone: whether the file holds nothing else; then WrongUse is raised at once.
     """
 
     def refuse(name: str) -> None:

@@ -57,7 +57,9 @@ def _line(row: Sequence[Any]) -> str:
 
 
 def _check_formulas(source: Path) -> None:
-    """Raise WrongUse if the results of formulas are not in the workbook: only programs that compute write them."""
+    """Raise WrongUse if the workbook lacks the results of its formulas: only programs that compute formulas
+    write them.
+    """
     if not is_zipfile(source):
         return
     with ZipFile(source) as packed:

@@ -38,10 +38,10 @@ def is_number(text: str) -> bool:
 
 
 def clock(text: str) -> tuple[float, float] | None:
-    """Return a time of day or a date with one, s, and after how many s it begins anew, 0 for a date; None for any
-    other text.
+    """Return the time of a clock or a date, s, and the period, s, after which it begins anew (0 for a date); None for
+    any other text.
 
-    A date that is not as in ISO 8601 is not read, because 05/06 may be in May or June: only its time of day counts.
+    Of a date that is not in ISO 8601 only the time of day is read, because 05/06 may be in May or in June.
     """
     if ":" not in text:
         return None
@@ -64,7 +64,7 @@ def _plain(text: str) -> str:
 
 
 def _values(text: str) -> dict[str, float]:
-    """Return by decimal mark the number that a text is; {} for no number."""
+    """Return the number in a text for each decimal mark that the text allows; {} for no number."""
     found = {}
     for mark, pattern in _NUMBERS.items():
         between = "," if mark == "." else "."
@@ -88,7 +88,9 @@ class Cells:
     """
 
     def __init__(self, names: Sequence[str], clocks: frozenset[int], mark: str = ".") -> None:
-        """names: of the columns. clocks: the columns with times. mark: how numbers are read that may have either."""
+        """names: headings. clocks: indices of columns with times. mark: the decimal mark if a number may have
+        either.
+        """
         self._names, self._clocks, self._mark = names, clocks, mark
         self._last = dict.fromkeys(clocks, math.nan)
         self._sure: dict[str, str] = {}  # by decimal mark the first number that can have no other
@@ -120,7 +122,7 @@ class Cells:
         return values.get(self._mark, next(iter(values.values())))
 
     def _going_on(self, at: int, time: float, period: float) -> float:
-        """Return the time of a clock as one that does not begin anew at midnight, or on the hour."""
+        """Return the time of a clock, continued past midnight or past the full hour."""
         if period and math.isfinite(self._last[at]):
             time += period * round((self._last[at] - time) / period)
         self._last[at] = time

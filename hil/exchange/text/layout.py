@@ -59,8 +59,8 @@ class Layout(NamedTuple):
 def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple[Layout, Iterator[str]]:
     """Return the layout of the table in the lines, and the lines from the first row on.
 
-    wanted: the names of columns that are asked for; the line of headings has them. Raises WrongUse for a table without
-    headings, or without rows.
+    wanted: names of columns, which the line of headings must contain. Raises WrongUse for a table without headings, or
+    without rows.
     """
     top = _whole(list(islice(lines, _TOP)))
     longest = csv.field_size_limit()
@@ -89,7 +89,7 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
 
 
 def _whole(lines: list[str]) -> list[str]:
-    """Return the lines, each heading that a quoted line break divides in the line where it ends."""
+    """Return the lines. Headings that contain a quoted line break are joined in the line where they end."""
     for at in range(len(lines) - 1):
         quotes = np.cumsum([line.count('"') for line in lines[at : at + _HEADING]])
         if quotes[0] % 2 and (ends := np.flatnonzero(quotes % 2 == 0)).size:
@@ -130,7 +130,7 @@ def _numeric(line: str, delimiter: str) -> int:
 def _headings(
     source: Path, lines: Sequence[str], shape: tuple[str, int, list[int]], wanted: Collection[str]
 ) -> tuple[int, list[str], int]:
-    """Return the index of the first row, the headings of its cells, and the index of their line. shape: as of `_rows`.
+    """Return the index of the first row, the headings of its cells, and the index of their line. shape: from `_rows`.
 
     The line has all wanted names; without such a line it is the nearest one above the rows with as many names as they
     have cells. Where a log began in the middle of a row, the headings follow the first rows.
@@ -156,11 +156,11 @@ def _headings(
 
 
 def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[str], bool, str]]:
-    """Yield each way to split a line into names, none of them a number, whether there are as many as `fields`, and
-    their delimiter.
+    """Yield each way to split a line into names, none of them a number: the names, whether there are `fields` names,
+    and the delimiter.
 
-    More names than cells are trimmed, because some loggers name a column "Comment" and do not fill it; words that are
-    separated by spaces are not names of more columns.
+    Names beyond `fields` are dropped, because some loggers name a column "Comment" and do not fill it. A line of words
+    between spaces with too many words is no line of names.
     """
     without = COMMENT.sub("", line)
     for text in dict.fromkeys((without, line)):
@@ -185,9 +185,11 @@ def _has(names: Sequence[str], wanted: Collection[str]) -> bool:
 
 
 def _units(cells: Sequence[str], columns: int) -> list[str]:
-    """Return the units in a line between headings and rows, "" for a column without a unit; all "" in another line.
+    """Return the units in a line between headings and rows, "" for a column without a unit; all "" if the line is no
+    line of units.
 
-    Most of its cells are units, or in brackets. What hil knows no unit for, such as counts, is kept as it is written.
+    In a line of units, most cells are units or in brackets. A unit that hil does not know, such as counts, is kept as
+    written.
     """
     plain = [cell.strip().strip("[](){}<>").strip() for cell in cells]
     stated = [cell for cell in plain if cell.lower() not in _NO_UNIT]
@@ -201,7 +203,7 @@ def _units(cells: Sequence[str], columns: int) -> list[str]:
 def _unlabelled(line: str, delimiter: str, columns: int) -> list[str]:
     """Return the cells of a line whose first word says that they are units, "Units: s, N*m" or "Y_Unit_Label".
 
-    The label stands in the first cell, or in one more than there are columns.
+    The label is the beginning of the first cell, or an extra cell in front of it.
     """
     cells = split_line(_UNITS.sub("", line, count=1).rstrip(), delimiter)
     while cells and not cells[-1]:

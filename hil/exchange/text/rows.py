@@ -71,9 +71,9 @@ def read(
 ) -> Read:
     """Return the columns `wanted` (indices) of the rows that pass every filter.
 
-    asked, sheet: as in `titles`. mark: the decimal mark of numbers that may have either. In a row that does not pass,
-    only the filtered cells are read. A missing reading is NaN. The last row may be cut off, and 1 % of the others
-    damaged. Raises WrongUse with the row that is wrong.
+    asked: names that the line of headings has. sheet: of a workbook. mark: the decimal mark if a number may have
+    either. In a row that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be
+    cut off, and 1 % of the others damaged. Raises WrongUse with the row that is wrong.
     """
     kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
     behind = max((*wanted, *(at for at, _ in filters)), default=0)
@@ -104,8 +104,8 @@ def read(
 
 
 def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
-    """Raise NotANumber if a row has not one cell for each heading. last: index of the last column that is read: what
-    all rows lack behind it does no harm.
+    """Raise NotANumber if a row has not one cell for each heading. last: index of the last column that is read; columns
+    behind it may be missing in all rows.
     """
     while len(row) > len(form.names) and not row[-1].strip():  # some loggers end every row with a delimiter
         row.pop()
@@ -120,9 +120,9 @@ def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
 
 
 class _Damage:
-    """Counts the lines of a table that are no rows of numbers. cut_off: whether a packed file has no end.
+    """Counts the lines of a table that are no rows of numbers. cut_off: whether a compressed file lacks its end.
 
-    Headings and text that a logger wrote again when it was started hold no reading, so that nothing is lost.
+    Headings and texts that a logger writes at each start are not counted, because they hold no reading.
     """
 
     def __init__(self) -> None:
@@ -141,9 +141,9 @@ class _Damage:
             self.lost.append((line, what))
 
     def report(self, source: Path, kept: int, last: int) -> list[str]:
-        """Return sentences about the rows that are lost, beside `kept` rows. last: number of the last line.
+        """Return sentences about the lost rows. kept: number of rows that were read. last: number of the last line.
 
-        Raises WrongUse if many are lost.
+        Raises WrongUse if more than 1 % are lost.
         """
         count = kept + len(self.lost)
         before = [one for one in self.lost if one[0] < last]
@@ -172,7 +172,7 @@ def _rows(source: Path, reader: Reader, above: int) -> Iterator[list[str]]:
 
 
 def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[str]:
-    """Yield the lines, an empty one for each with NUL bytes, which a disk shows where it lost power."""
+    """Yield the lines. A line with NUL bytes, which a loss of power leaves in a file, becomes an empty line."""
     for at, line in enumerate(lines, above + 1):
         if "\0" in line:
             damage.lost.append((at, f"row {at}: NUL bytes, as a disk has after a loss of power"))
@@ -181,7 +181,7 @@ def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[
 
 @contextmanager
 def _open(source: Path, wanted: Collection[str], sheet: str | None, damage: _Damage) -> Iterator[Iterator[str]]:
-    """Give the lines of a text, or of a sheet of a workbook."""
+    """Yield an iterator over the lines of a text, or of a sheet of a workbook."""
     if formats.kind_of(source) == formats.WORKBOOK:
         yield iter(workbook.lines(source, sheet))
         return
@@ -218,9 +218,9 @@ def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
 
 
 def _encoding(source: Path, wanted: Collection[str]) -> str:
-    """Return the encoding of a file: UTF-16, which spreadsheets call Unicode text; one in which the file has the names
-    that are wanted; UTF-8 with or without a byte-order mark; else that of Windows. Raises WrongUse for a file that is
-    no text.
+    """Return the encoding of a file: UTF-16, which spreadsheets call Unicode text; one in which the file contains the
+    wanted names; UTF-8 with or without a byte-order mark; else that of Windows. Raises WrongUse for a file that is no
+    text.
     """
     start = b""
     with _bytes(source) as raw, suppress(EOFError):  # a packed file that is cut off has no beginning
