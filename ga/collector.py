@@ -11,8 +11,8 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Switch off the garbage collector in a `with` block: for code in which collecting takes much time for little, or
-    stops a loop.
+    """Switch off the garbage collector in a `with` block: for code in which collecting takes much time and frees little
+    memory, or would delay a control loop.
     """
     before = gc.isenabled()
     gc.disable()

@@ -62,7 +62,7 @@ _POLL: Final = 0.05
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function` as a function that is compiled at its first call, as with `numba.njit`."""
+    """Return `function`, which numba compiles at its first call (`numba.njit`)."""
     return _compiled(function)
 
 
@@ -77,7 +77,7 @@ def compiled_no_refcount(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_inline(function: Callable[P, R]) -> Callable[P, R]:
-    """Return `function` compiled as `compiled_no_refcount` does, and always inlined into its caller."""
+    """Return `function`, compiled without reference counting and always inlined into its caller."""
     return _compiled(function, **_no_refcount(function), forceinline=True)
 
 
@@ -85,7 +85,8 @@ def compiled_within(function: Callable[P, R]) -> Callable[P, R]:
     """Return `function`, whose lines are compiled as a part of the compiled function that calls it.
 
     This is for a function that is short, or called from one or two places: it takes half as long as compiling a
-    separate function, whose machine code is not used once it is inlined. Calls from Python: see `compiled_no_refcount`.
+    separate function, whose machine code is not used once it is inlined. A function whose name begins with an
+    underscore must not be called from Python.
     """
     return _compiled(function, **_no_refcount(function), inline="always")
 
@@ -282,10 +283,11 @@ def cache_folder(package: Path) -> Path | None:
 
 
 def changeable_by_others(folder: Path) -> Path | None:
-    """Return what lets somebody other than this user and root change the files in a folder; None if nothing does.
+    """Return the folder or file through which somebody other than this user and root can change the files in a folder;
+    None if nobody else can.
 
-    That is the folder itself or a file in it, or one of the folders above it. folder: resolved. In a folder with the
-    sticky bit, such as /tmp, only the owner of an entry can rename it.
+    It is the folder itself, a file in it, or one of the folders above it. folder: an absolute path without links. In a
+    folder with the sticky bit, such as /tmp, only the owner of an entry can rename it.
     """
     if sys.platform == "win32":  # the user's folders belong to the user alone
         return None
@@ -303,7 +305,9 @@ def changeable_by_others(folder: Path) -> Path | None:
 
 
 def _others_write(found: os.stat_result) -> bool:
-    """Return whether somebody other than the owner can write a folder. A group of the user alone is no other."""
+    """Return whether somebody other than the owner can write a folder. A group that has no member but the user does not
+    count.
+    """
     if not found.st_mode & stat.S_IWGRP:
         return bool(found.st_mode & stat.S_IWOTH)
     try:
@@ -324,7 +328,7 @@ def _digest(*packages: Path) -> str:
 
 
 def _used(folder: Path) -> bool:
-    """Create a cache folder, or record that it is in use; return False if the folder cannot be written."""
+    """Create a cache folder, or mark it as recently used; return False if the folder cannot be written."""
     try:
         for place in (*reversed(folder.parents), folder):
             if not place.exists():

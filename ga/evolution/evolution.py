@@ -123,7 +123,8 @@ PRESETS: Final[Mapping[str, Settings]] = MappingProxyType(
 def rules_of(bounds: Bounds, settings: Settings, floor: float, reject: bool) -> Rules:
     """Return bounds and settings in the form that the compiled loops use.
 
-    floor: the smallest divisor, N m, in relative comparisons of fitness. reject: see `advance`.
+    floor: the smallest divisor, N m, in relative comparisons of fitness. reject: whether the evaluation of children
+    that cannot survive is skipped.
     """
     rejects = settings.scheme == "generational" or settings.replacement == "worst-if-better"
     if settings.replacement == "worst" and settings.selection == "minimise" and settings.tournament > 1:

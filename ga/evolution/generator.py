@@ -33,7 +33,7 @@ def seeded(seed: int, trial: int) -> State:
 
 
 def uniforms(state: State, count: int) -> NDArray[np.float64]:
-    """Return numbers (count,) as `uniform` draws them, and take the state (4,) on; for a few of them, not compiled."""
+    """Return random numbers (count,) in [0, 1), and advance the state (4,). Not compiled: for a few numbers only."""
     a, b, c, d = state.tolist()
     found = np.empty(count)
     for i in range(count):
@@ -52,7 +52,7 @@ def uniforms(state: State, count: int) -> NDArray[np.float64]:
 
 @compiled_within
 def load(state: State) -> Words:
-    """Return the words of a state (4,)."""
+    """Return a state (4,) as a tuple of words."""
     return state[0], state[1], state[2], state[3]
 
 

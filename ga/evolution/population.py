@@ -21,9 +21,10 @@ a random one.
 class Population(NamedTuple):
     """The whole state of a search. A search whose state is saved and restored continues as if it had not stopped.
 
-    genes: (population, p). fitness: (population,), N m. order: (population,), see ga.evolution.operators. generator:
-    (4,), the state of the random generator. best: (p,), the best chromosome ever. best_fitness: (1,), its fitness, N m.
-    progress: (3,), the number of generations, the number of evaluations, and 1 once the stop rule has ended the search.
+    genes: (population, p). fitness: (population,), N m. order: (population,), the rows of the population, of which the
+    front is shuffled in a draw. generator: (4,), the state of the random generator. best: (p,), the best chromosome
+    ever. best_fitness: (1,), its fitness, N m. progress: (3,), the number of generations, the number of evaluations,
+    and 1 once the stop rule has ended the search.
     """
 
     genes: NDArray[np.float64]

@@ -63,8 +63,8 @@ USED_NODES, USED_UNDECIDED, USED_LEAVES, NEXT_RECENT = range(4)
 
 
 class Tree(NamedTuple):
-    """The samples, and the cells grown so far. Only one thread at a time may use a tree; `another` makes a tree over
-    the same samples.
+    """The samples, and the cells grown so far. Only one thread at a time may use a tree; `another` makes a second tree
+    over the same samples.
 
     rows (n, p + 2): the residual at the origin, the columns, and how fast the residual can change as v moves in the
     largest of its coordinates; similar rows are neighbours. groups (m, 2 p + 4) and contents (m, 4): groups of these
@@ -106,7 +106,8 @@ class Tree(NamedTuple):
 def grow(columns: Matrix, torque: Vector, bounds: Bounds) -> Tree:
     """Return a tree with one cell, the root, for columns (n, p) and torque (n,), N m, within the bounds.
 
-    For chromosomes outside the bounds every sample is computed. Raises ValueError as `check` does.
+    For chromosomes outside the bounds every sample is computed. Raises ValueError if the data are not finite, not of
+    equal length or empty.
     """
     check(columns, torque)
     origin = _near_solution(columns, torque)

@@ -65,8 +65,8 @@ class Samples(NamedTuple):
 
 
 def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
-    """Return the samples of columns (n, p) and torque (n,), N m, with no rows collapsed. Raises ValueError as `check`
-    does.
+    """Return the samples of columns (n, p) and torque (n,), N m, with no rows collapsed. Raises ValueError if the data
+    are not finite, not of equal length or empty.
     """
     check(columns, torque)
     p = columns.shape[1]
@@ -89,7 +89,7 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
     """Return the samples of columns (n, p) and torque (n,), N m. Rows whose residuals keep their sign around the start
     are replaced by sums.
 
-    Raises ValueError as `check` does.
+    Raises ValueError if the data are not finite, not of equal length or empty.
     """
     check(columns, torque)
     p, reach = columns.shape[1], WIDER * start.reach
@@ -117,7 +117,9 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
 
 
 def _as_compiled(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values in one memory layout, writable: the search would be compiled again for each other layout."""
+    """Return the values as a writable array in one memory layout: for any other layout the search would be compiled
+    again.
+    """
     return np.require(values, np.float64, ["C", "W"])
 
 
@@ -151,7 +153,7 @@ def _in_lanes(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def shared(samples: Samples) -> Samples:
-    """Return the samples with working space of their own."""
+    """Return the same samples with separate working space, for another thread."""
     return samples._replace(scratch=np.empty_like(samples.scratch), place=np.empty_like(samples.place))
 
 

@@ -59,7 +59,7 @@ def engine_for(
 
 
 def fork(engine: Engine) -> Engine:
-    """Return an engine over the same data for another thread, with working space of its own."""
+    """Return an engine over the same data for another thread, with separate working space."""
     return shared(engine) if isinstance(engine, Samples) else another(engine)
 
 

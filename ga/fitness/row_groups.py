@@ -133,7 +133,7 @@ def _part(points: Matrix, begin: int, end: int, middle: int, k: int) -> None:
 
 @compiled
 def measure(rows: Matrix, backward: Matrix, contents: NDArray[np.int32], values: Matrix) -> None:
-    """Fill in the `values` of groups with these `contents`; see `group`."""
+    """Fill in the `values` (m, 2 p + 4) of groups from their `contents` (m, 4), as `group` returns both."""
     n, p = rows.shape[0], rows.shape[1] - 2
     mean = np.empty(p + 1)
     for g in range(len(contents)):

@@ -58,7 +58,7 @@ class Optimum:
     floor: float
 
     def relative_gap(self, fitness: float) -> float:
-        """Return how much worse `fitness`, N m, is than the optimum, relative to the optimum. fitness: from
+        """Return how much worse `fitness`, N m, is than the optimum, relative to the optimum. fitness: a result of
         `fitness_of`.
         """
         return (fitness - self.fitness) / max(self.fitness, self.floor)
@@ -120,7 +120,7 @@ def not_negative(
     has negative genes, at least one of these genes is zero in the bounded optimum. Each of them is set to zero in turn,
     until no gene is negative. Genes that are zero in `near` are tried as zeros first. If columns are dependent and rows
     few, the best may be missed (5 of 47,000 random problems of up to 13 rows). The fields `unique` and `certificate` of
-    the result assume that the genes at zero are zero. Other arguments and errors: see `least_absolute_deviations`.
+    the result assume that the genes at zero are zero. Raises ValueError, RuntimeError.
     """
     if near is not None and (held := _as_nearby(columns, torque, positive, near)) is not None:
         return held
@@ -266,7 +266,8 @@ def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[N
 def _orthogonal(
     columns: NDArray[np.float64], scale: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Do the same as `_whiten` by Gram-Schmidt with column exchange, each column orthogonalised twice.
+    """Return what `_whiten` returns, computed by Gram-Schmidt with column exchange; each column is orthogonalised
+    twice.
 
     The rank follows from the length of a column that remains after this.
     """
@@ -317,7 +318,7 @@ def _bracketed(
 ) -> NDArray[np.int64] | None:
     """Return the optimal basis, searched with the rows that can change sign around the centre (r,), in growing regions.
 
-    centre: an estimate of the optimum from `count` rows. patient: see `_solve`.
+    centre: an estimate of the optimum from `count` rows. patient: whether a stalled descent is repeated with more rows.
     """
     r = len(centre)
     residual = torque - _times(rows, centre)

@@ -46,10 +46,11 @@ _SPREAD: Final = 4.0
 def solve_few(
     columns: NDArray[np.float64], torque: NDArray[np.float64], near: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float64], float, bool] | None:
-    """Return the genes (p,) of the optimum, its certificate and whether it is unique: see `ga.lad.exact.Optimum`.
+    """Return the genes (p,) of the optimum, its certificate (the proof in `ga.lad.exact.Optimum`) and whether it is
+    unique.
 
-    columns (n, p), torque (n,) and near (p,): see `ga.lad.exact.least_absolute_deviations`; all finite. None if the
-    problem is not the usual case, so that another solver is needed.
+    columns (n, p) and torque (n,), N m: the data, finite. near (p,): genes that are probably close to the optimum. None
+    if the problem is not the usual case, so that another solver is needed.
     """
     n, p = columns.shape
     genes, scale, extent, start, needed, sums = np.zeros((6, p))

@@ -78,9 +78,9 @@ class Reduced:
 def reduce(blocks: Blocks, rows: int, positive: tuple[int, ...] = ()) -> Reduced:
     """Reduce `rows` rows in `blocks` around their exact least-absolute-deviations optimum.
 
-    positive: indices of genes that must not be negative, see `not_negative`. The data are read twice, and once more
-    each time that the ball was too small. Raises ValueError as `least_absolute_deviations`, RuntimeError if no ball
-    contained the optimum.
+    positive: indices of genes that must not be negative. The data are read twice, and once more each time that the ball
+    was too small. Raises ValueError for data that are not finite or empty, RuntimeError if no ball contained the
+    optimum.
     """
     if rows <= _SUBSAMPLE:
         parts = list(blocks())

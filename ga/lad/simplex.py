@@ -94,7 +94,7 @@ def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[
 def step_down(  # noqa: PLR0917 - compiled functions take their parts by position
     rows: Matrix, torque: Vector, pull: Vector, start: Vector, basis: Basis, room: Room
 ) -> int:
-    """Fill in the basis (r,) as `descend` does, beginning with r artificial rows that have no residual at the start.
+    """Fill in the optimal basis (r,), beginning with r artificial rows that have no residual at the start.
 
     The artificial rows are the unit vectors, have the number -1 and no weight in the sum: they leave the basis first,
     one by one, until the first vertex is reached.

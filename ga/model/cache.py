@@ -1,4 +1,4 @@
-"""Keep results that a search asks for again, up to a limit of memory."""
+"""Keep results that a search needs again, up to a limit of memory."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ kept columns of a motion have together.
 
 
 def columns_of(samples: int) -> int:
-    """Return how many columns of so many samples are kept."""
+    """Return how many columns (samples,) are kept at most."""
     return 1 + _ROOM // (samples + SMALL)
 
 
 def recalled(found: dict[K, V], key: K) -> V | None:
-    """Return the kept value for a key, if any, and count it as the one asked for last."""
+    """Return the kept value for a key, None without one, and mark the value as the most recently used."""
     value = found.pop(key, None)
     if value is not None:
         found[key] = value
@@ -37,7 +37,7 @@ def recalled(found: dict[K, V], key: K) -> V | None:
 
 
 def keep(found: dict[K, V], key: K, value: V, most: int) -> V:
-    """Keep a value, and drop those that were not asked for longest, so that at most `most` are kept."""
+    """Keep a value, and drop the least recently used values, so that at most `most` are kept."""
     for longest_ago in list(found)[: max(0, len(found) - most + 1)]:
         del found[longest_ago]
     found[key] = value
@@ -45,6 +45,6 @@ def keep(found: dict[K, V], key: K, value: V, most: int) -> V:
 
 
 def kept(found: dict[K, V], key: K, make: Callable[[], V], most: int = ALTERNATING) -> V:
-    """Return the kept value for a key, computed by `make` and kept at first."""
+    """Return the kept value for a key; the first time, compute it by `make` and keep it."""
     value = recalled(found, key)
     return keep(found, key, make(), most) if value is None else value

@@ -100,7 +100,7 @@ class CouplingModel:
         return tuple(term.bends or (beyond and term.pushed is not None) for term in self.terms)
 
     def _through_cell(self, motion: Motion, nonlinear: Array | None) -> Motion:
-        """Return the motion for computing the torque: the whole one behind a torque cell with given parameters."""
+        """Return the motion for computing the torque: behind a torque cell with given parameters, the whole motion."""
         behind_cell = nonlinear is not None and any(term.cell is not None for term in self.terms)
         return motion.whole[0] if behind_cell else motion
 
@@ -156,9 +156,9 @@ class CouplingModel:
         return model._read(motion, model._stacked(seen, nonlinear), nonlinear)
 
     def raw_columns(self, motion: Motion, nonlinear: Array, lag: float = 0.0) -> Array:
-        """Return the columns (n, p) before the torque cell, with what unknown initial states explain still in them.
+        """Return the columns (n, p) before the torque cell, including the part that unknown initial states can explain.
 
-        nonlinear (q,), lag: see `columns`.
+        nonlinear (q,): values of the nonlinear parameters. lag: Bc/Kc, s.
         """
         return self._stacked(self._seen(motion, nonlinear, lag), nonlinear)
 
@@ -347,7 +347,7 @@ class CouplingModel:
 def parse(name: str) -> CouplingModel:
     """Return the model of a name such as "linear+offset+coulomb"; the order of the terms does not matter.
 
-    Raises ValueError as `ga.model.terms.canonical`, and for a term that shapes a friction which the model lacks.
+    Raises ValueError for a wrong name, and for a term that changes a friction which the model lacks.
     """
     model = CouplingModel(canonical(name))
     for term in (term for term in model.terms if term.smooths and lacking(term.name, model.name.split("+"))):

@@ -49,10 +49,10 @@ FRICTION: Final[tuple[Kind, ...]] = ("dry friction", "presliding friction", "yie
 class Parameter:
     """One parameter of a model: its name, its SI unit and its meaning.
 
-    kind: what it is. scales: whether it is proportional to the torque. absent: the value that removes it from the
-    model, None if no value does. presence: whether its existence is in question, so that it is identifiable only if its
-    interval excludes `absent`. positive: whether it cannot be negative for physical reasons. nonlinear: whether it is
-    searched; a linear parameter is computed exactly.
+    kind: the kind of quantity. scales: whether it is proportional to the torque. absent: the value that removes it from
+    the model, None if no value does. presence: whether its existence is in question, so that it is identifiable only if
+    its interval excludes `absent`. positive: whether it cannot be negative for physical reasons. nonlinear: whether it
+    is searched; a linear parameter is computed exactly.
 
     For nonlinear parameters. starts: starting values, as fractions of the range. kinked: whether the torque has breaks
     at deflections that this parameter moves. refined: whether breaks give the fitness many local minima along it.
@@ -109,8 +109,9 @@ class Regressors:
     beyond a gap or slack, times contact, rad. contact: 1, or 0 where the surfaces of a gap do not touch. load: the
     factor by which friction in proportion to the load multiplies the torque of springs; None without such friction.
     damped: whether this factor multiplies the torque of dampers too. smoothing: v_s of friction, rad/s. middle: the
-    time in the middle of the recording, s. own: the nonlinear parameters of the term whose columns are computed.
-    key: all that the signals depend on besides the motion, and what angle, contact and load depend on too.
+    time in the middle of the recording, s. own: the nonlinear parameters of the term whose columns are computed. key:
+    everything besides the motion on which the signals depend, in two parts; angle, contact and load depend on the
+    second part too.
     """
 
     time: Array
@@ -141,10 +142,11 @@ class Regressors:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """What residuals show of an effect that a model lacks: its code, its name in words, and what to try.
+    """The mark that an effect leaves in the residuals of a model without it: its code, its name in words, and what to
+    try.
 
-    advice: models are named by their term in braces. again: whether a model with the term may lack another of the same
-    effect.
+    advice: braces around a term's name stand for the model with that term. again: whether a model with the term may
+    lack a further term for the same effect.
     """
 
     code: str
@@ -157,15 +159,13 @@ class Mark:
 class Term:
     """One effect that a model of the coupling can have: a record in `ga.model.terms.TERMS`.
 
-    meaning: text for the help. role: what it is.
-    equation: the torque that the term adds, in the deflection x, its rate v and the time t; after a comma, where its
-      other symbols come from. For a term without columns, what it changes.
-    columns: functions that return (n,), N m per unit of each linear parameter, in order.
-    rates: functions that return the time derivatives of the columns, per second, for the motion's time derivative
-      (second argument); None: of one column that depends on the deflection alone, or not on the motion.
-    pushed: the change of the term's torque (n,), N m, when the deflection changes by the third argument (n,), rad, for
-      given linear parameters.
-    bounds: low and high of each nonlinear parameter, for motion up to a frequency, Hz.
+    meaning: text for the help. role: the kind of effect. equation: the torque that the term adds, in the deflection x,
+    its rate v and the time t; after a comma, where its other symbols come from. For a term without columns, what it
+    changes. columns: functions that return (n,), N m per unit of each linear parameter, in order. rates: functions that
+    return the time derivatives of the columns, per second, for the motion's time derivative (second argument); None: of
+    one column that depends on the deflection alone, or not on the motion. pushed: the change of the term's torque (n,),
+    N m, when the deflection changes by the third argument (n,), rad, for given linear parameters. bounds: low and high
+    of each nonlinear parameter, for motion up to a frequency, Hz.
 
     A term with bounds does one of these:
     - it delays the motion by its parameter;
@@ -179,27 +179,22 @@ class Term:
     load: returns the factor (n,) of the carried torque, for the same arguments, v_s and the term's parameters.
     spares_dampers: whether dampers are not part of that torque, because they act in parallel to the parts that rub.
     forgets: for a torque that depends on earlier samples, returns the weight (n,) that the unknown state at the
-      beginning of its piece still has at each sample, for a motion and the term's parameters.
-    smooths: whether its parameter is v_s of all friction, rad/s; without such a term v_s is so small that friction
-      reverses at once.
-    needs: the term without which it has no meaning. or_needs: other terms, of which one is enough instead.
-    excludes: the terms that it cannot be combined with, and why.
-    bends: whether its torque is no linear filter of the motion, and so changes under a filter of torque and motion.
-    breaks: whether its torque has breaks; such a term has small prior odds, because it fits much by chance.
-    confusable: terms beside which this term must improve the score as much as one with breaks, because it resembles a
-      part of them.
-    sticks: whether friction of the term holds the joint where it is slow.
-    open: returns the deflections, rad, between which a gap with the term's parameters is open.
-    bench: whether every bench may have a little of it ("small"), or has it ("always"): such terms are in the average.
-      A term that every bench has costs no prior odds.
-    seldom: whether its prior odds are smaller than those of its class.
-    repeats: whether only a motion that repeats shows it.
-    deviation: the torque (n,) by which a real joint departs from the term's law, up to a factor: of the motion, and of
-      the model's columns and values by parameter.
-    mark: what residuals show of it where the model lacks it.
-    selection: its prior class. Model selection begins with a "smallest" term, at no cost. It expects a "considered"
-      (common) term in one joint of two, a "motor torque" or "misfit" (rare) term in one of ten. A "misfit" term must
-      also have strong evidence. It never considers a "named" term.
+    beginning of its piece still has at each sample, for a motion and the term's parameters. smooths: whether its
+    parameter is v_s of all friction, rad/s; without such a term v_s is so small that friction reverses at once. needs:
+    the term without which it has no meaning. or_needs: other terms, of which one is enough instead. excludes: the terms
+    that it cannot be combined with, and why. bends: whether its torque is no linear filter of the motion, and so
+    changes under a filter of torque and motion. breaks: whether its torque has breaks; such a term has small prior
+    odds, because it fits much by chance. confusable: terms beside which this term must improve the score as much as one
+    with breaks, because it resembles a part of them. sticks: whether friction of the term holds the joint where it is
+    slow. open: returns the deflections, rad, between which a gap with the term's parameters is open. bench: whether
+    every bench may have a little of the effect ("small"), or has it ("always"). Such terms are part of the average over
+    models. A term that every bench has costs no prior odds. seldom: whether its prior odds are smaller than those of
+    its class. repeats: whether only a motion that repeats shows the effect. deviation: returns the torque (n,), up to a
+    factor, by which a real joint departs from the term's law, for a motion and the model's columns and values by
+    parameter. mark: what the residuals show if the model lacks the term. selection: its prior class. Model selection
+    begins with a "smallest" term, at no cost. It expects a "considered" (common) term in one joint of two, a "motor
+    torque" or "misfit" (rare) term in one of ten. A "misfit" term must also have strong evidence. It never considers a
+    "named" term.
     """
 
     name: str

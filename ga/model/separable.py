@@ -1,4 +1,4 @@
-"""Fit models with nonlinear parameters by variable projection: these are searched, the linear ones computed exactly.
+"""Fit models by variable projection: nonlinear parameters are searched, the linear ones are computed exactly.
 
 For given nonlinear parameters (such as skew, gap, slack) the fit is a least-absolute-deviations problem, and its exact
 minimum is the fitness of these parameters. `best_start` looks for the lowest local minimum from a few starting values.
@@ -139,7 +139,7 @@ class Problem:
         return self._solved(nonlinear, near, agreements).fit
 
     def _solved(self, nonlinear: Array, near: Fit | None = None, agreements: int = _AGREEMENTS) -> _Solved:
-        """Do the same as `solve`, and return the fit together with its linear problem."""
+        """Return the exact minimum, as `solve` does, together with its linear problem."""
         target, lag = self.model.target(self.motion, self.torque, nonlinear), near.lag if near else 0.0
         if not self.model.linear:
             optimum = Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
@@ -193,7 +193,7 @@ class Problem:
 def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
     """Return the lowest local minimum found. near: approximate values of some nonlinear parameters, by name.
 
-    Raises RuntimeError as `Problem.solve`.
+    Raises RuntimeError if no optimum can be proven.
     """
     if not problem.low.size:
         return problem.solve(problem.low)
@@ -203,7 +203,7 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
     """Return the local minimum next to the nonlinear parameters `start` (q,).
 
-    near: the nonlinear parameters of a smaller model's fit, by name. Raises RuntimeError as `Problem.solve`.
+    near: the nonlinear parameters of a smaller model's fit, by name. Raises RuntimeError if no optimum can be proven.
     """
     if not start.size:
         return problem.solve(start)

@@ -52,7 +52,7 @@ def of_role(*roles: Role) -> tuple[str, ...]:
 
 
 def of_kind(names: Iterable[str], *kinds: Kind) -> tuple[str, ...]:
-    """Return those of the names that are the name of a parameter of these kinds, in their order."""
+    """Return those of `names` that name a parameter of one of these kinds, in their order."""
     return tuple(name for name in names if name in PARAMETERS and PARAMETERS[name].kind in kinds)
 
 

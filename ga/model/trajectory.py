@@ -222,7 +222,7 @@ class Motion:
         """Return the signals that unknown states at the beginning of each piece can cause
         (`ga.model.memory.beginnings`).
 
-        left (k, n): see there. key: the model and its parameters, under which the result is cached.
+        left (k, n): the weights of those states. key: the model and its parameters, under which the result is cached.
         """
         from ga.model.memory import beginnings
 

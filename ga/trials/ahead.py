@@ -24,7 +24,7 @@ def is_worthwhile() -> bool:
 
 
 def compile_search() -> None:
-    """Compile the search by running one with three parameters, the functions that take longest first.
+    """Compile the search by running a search with three parameters. The functions that take longest come first.
 
     The first process compiles the short functions itself if it needs them before this process comes to them.
     """
@@ -38,8 +38,8 @@ def compile_search() -> None:
 
 
 def compile_states() -> None:
-    """Compile the functions that model selection and averaging need, the last needed first, because the first process
-    begins with the others.
+    """Compile the functions of model selection and averaging. The last needed come first, because the first process
+    begins with those needed first.
     """
     time = np.linspace(0.0, 1.0, 200)
     lagged(time, time, 0.1)

@@ -56,7 +56,7 @@ def belonging(
     seed: int,
     trials: int,
 ) -> dict[str, str]:
-    """Return the texts that identify a run: of its data, bounds, settings, seed and number of trials."""
+    """Return the texts that identify a run by its data, bounds, settings, seed and number of trials."""
     data = hashlib.sha256(str(columns.shape).encode())
     for array in (columns, torque):
         data.update(np.ascontiguousarray(array).data)

@@ -93,8 +93,8 @@ def run_trials(
     """Run `trials` searches for the genes that fit columns (n, p) to torque (n,), N m, best.
 
     Each trial has its own random generator, seeded from (seed, trial): the result does not depend on `workers`, the
-    number of threads. start: the region in which an informed search of reduced rows begins (see `Reduced`). progress: a
-    function that is called in this thread, several times a second, with the fraction done, 0 to 1.
+    number of threads. start: the region in which an informed search begins if the rows are reduced (`Reduced.start`).
+    progress: a function that is called in this thread, several times a second, with the fraction done, 0 to 1.
 
     Ctrl-C ends the run within some tenths of a second with KeyboardInterrupt. stop: a function that is called as often;
     the run ends once it returns True. With `stop`, the result so far is returned, also after Ctrl-C, marked as
@@ -301,7 +301,8 @@ def _outcome(
     """Return the best chromosomes, the fitness and the history of the trials `running`, and the work of this run.
 
     grid: the generations at which the history has a point. before: the number of evaluations before this run. seconds:
-    its processor time. again: a function that returns the first population of a trial, which the search overwrote.
+    its processor time. again: a function that returns the first population of a trial, because the search has
+    overwritten it.
     """
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])

@@ -26,7 +26,7 @@ class Line:
 
     name: in the legend, "" for none. x, y: (n,), NaN where the line is interrupted. colour: "soft", "first", "error",
     "good" or "ink". mark: "" for a line, "dot" or "ring" for points. ends: lower and upper ends (2, n) of an interval
-    at each point, None without intervals. width: points. dashed: whether the line is.
+    at each point, None without intervals. width: points. dashed: whether the line is dashed.
     """
 
     name: str
@@ -40,7 +40,9 @@ class Line:
 
 
 def with_intervals(points: Sequence[tuple[float, float, float]], name: str = "", colour: str = "first") -> Line:
-    """Return points, each a place on the horizontal axis, a value and half its interval, as a line of dots."""
+    """Return a line of dots with intervals. points: for each dot, its place on the horizontal axis, its value, and half
+    of its interval.
+    """
     x, y, half = np.array(points, np.float64).reshape(-1, 3).T
     return Line(name, x, y, colour, mark="dot", ends=np.array([y - half, y + half]))
 
@@ -56,10 +58,10 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Heat:
-    """A plane of values (rows, columns) as shades, the first row lowest.
+    """A grid of values (rows, columns), drawn as shades; the first row is at the bottom.
 
-    extent: left, right, low and high end of the plane. label: of the values, with the unit. two_sided: whether zero is
-    in the middle of the shades.
+    extent: left, right, lower and upper end of the grid on the axes. label: of the values, with the unit. two_sided:
+    whether zero is in the middle of the shades.
     """
 
     values: Array

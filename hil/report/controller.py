@@ -89,7 +89,9 @@ def _which(found: Identification) -> str:
 
 
 def constant_part_line(found: Identification) -> str:
-    """Return that Kc is only a part of the stiffness, if the model's other terms change the stiffness; else ""."""
+    """Return a sentence that Kc is only a part of the stiffness, if the model's other terms change the stiffness; else
+    "".
+    """
     terms = found.model.terms[1:] if isinstance(found.model, CouplingModel) else ()
     if found.estimates[0].depends_on or not any(
         term.pushed or term.remaining or term.load or term.forgets for term in terms
@@ -141,7 +143,9 @@ def _with_motor(inertia: float, damping: float, phase_margin: float) -> dict[str
 
 
 def _propagated(name: str, defined: _Defined, at: tuple[float, float], logs: Any) -> Quantity:
-    """Return a quantity with its interval. logs (2, 2): the covariance of the logarithms of Kc and Bc."""
+    """Return a quantity with its interval. defined: its unit, meaning and formula. at: Kc and Bc. logs (2, 2): the
+    covariance of the logarithms of Kc and Bc.
+    """
     (unit, meaning, formula), (kc, bc) = defined, at
     value, up = formula(kc, bc), 1.0 + _STEP
     slopes = np.log(np.array([formula(kc * up, bc), formula(kc, bc * up)]) / value) / math.log(up)
@@ -174,7 +178,7 @@ def controller_rows(found: Identification, *, milli: bool) -> list[tuple[str, st
 
 
 def controller_line(found: Identification) -> str:
-    """Return what the numbers rest on, or why there are none."""
+    """Return a line about the assumptions behind the numbers for a controller, or why there are no such numbers."""
     made = controller(found)
     if made is None:
         return "no numbers for a controller, because Kc or Bc may not be trusted"

@@ -70,7 +70,9 @@ def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> li
 
 
 def _limit(one: Assessment) -> str:
-    """Return which limit an excitation comes nearest to, and how near for the given Kc and Bc and for the worst."""
+    """Return in words the limit to which an excitation comes nearest, and how near, for the given and for the worst Kc
+    and Bc.
+    """
     index = LIMITED.index(one.limited_by)
     share, worst = one.shares[index], one.worst_shares[index]
     return f"{share:.0%} of the limit of {one.limited_by} ({worst:.0%} if Kc and Bc are not as given)"

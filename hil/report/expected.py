@@ -1,4 +1,4 @@
-"""`hil identify --expect Kc=17.75mN*m/rad:2%`: what a result must be, for a check that runs by itself."""
+"""`hil identify --expect Kc=17.75mN*m/rad:2%`: the values that a result must have, for an automatic check."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ _DIMENSIONS = {"Kc": "stiffness", "Bc": "damping"}
 
 
 class Expected(NamedTuple):
-    """The band, SI, in which the value of a parameter and its 95 % interval must lie. text: as it was written."""
+    """The band, SI, in which the value of a parameter and its 95 % interval must lie. text: the expectation as the user
+    wrote it.
+    """
 
     name: str
     low: float

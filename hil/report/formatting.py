@@ -57,8 +57,8 @@ def rounded(half: float, *values: float) -> list[str]:
 
 
 def rounded_in_thousands(half: float, *values: float) -> list[str]:
-    """Return the values and `half` as `rounded` does, but small or large values with a common power of a thousand:
-    18.91e-6 and 0.09e-6.
+    """Return the values and `half` as texts, rounded to the first digit of `half`. Small or large values have a common
+    power of a thousand: 18.91e-6 and 0.09e-6.
     """
     largest = max((abs(value) for value in (*values, half) if math.isfinite(value)), default=0.0)
     if not (math.isfinite(half) and half > 0.0) or _PLAIN[0] <= largest < _PLAIN[1]:

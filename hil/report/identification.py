@@ -71,7 +71,9 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
 
 
 def equation(model: Coupling) -> str:
-    """Return a model as an equation with every sign that is no parameter named; "" for a model of the user."""
+    """Return a model as an equation, with the meaning of every symbol that is no parameter; "" for a model of
+    the user.
+    """
     if not isinstance(model, CouplingModel):
         return ""
     added, changes = [], []
@@ -85,7 +87,7 @@ def equation(model: Coupling) -> str:
 
 
 def meaning(model: Coupling) -> str:
-    """Return a model in words, its name for a model of the user."""
+    """Return a model in words; for a model of the user, its name."""
     return "; ".join(term.meaning for term in model.terms) if isinstance(model, CouplingModel) else model.name
 
 

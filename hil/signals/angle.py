@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 def difference(order: int) -> Array:
     """Return the weights (order + 1,) of the difference of an even order, scaled to 1 at the middle reading.
 
-    They give a reading less the value that the polynomial through its neighbours has there.
+    The weighted sum is the reading less the value of the polynomial through its neighbours.
     """
     weights = np.poly(np.ones(order))
     return np.asarray(weights / weights[order // 2])
@@ -59,9 +59,9 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
 
 
 def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
-    """Return whether jumps of that size, rad, are the encoder's.
+    """Return whether jumps of `size`, rad, occur at the end of the encoder's range.
 
-    Such jumps lead from one end of the encoder's range to the other, while the torque does not jump.
+    Such jumps lead from one end of the range to the other, while the torque does not jump.
     """
     usual = float(np.abs(np.diff(angle)[~jumps]).max(initial=0.0))
     low, high = float(angle.min()), float(angle.max())
@@ -131,8 +131,8 @@ def _off_in_time(time: Array, angle: Array, rows: NDArray[np.int64]) -> Array:
 def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     """Return which readings (n,) of an angle, rad, lie in a short burst of wrong ones: random, held or displaced.
 
-    time (n,): s. torque (n,): N m. The angle jumps from the cubic through its neighbours, and the torque stays on its
-    own, as it would not if the joint had moved so.
+    time (n,): s. torque (n,): N m. In a burst the angle jumps away from the cubic through its neighbours, but the
+    torque stays on its cubic. If the joint had really moved, the torque would have jumped too.
     """
     wrong = np.zeros(len(angle), dtype=bool)
     angle = unwrapped(angle, torque)[0] if len(angle) else angle

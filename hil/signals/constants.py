@@ -1,7 +1,8 @@
 """The numbers of `hil.signals` and `hil.uncertainty`, each with its unit; the limits of trust are in
 `hil.uncertainty.criteria`.
 
-The source is a paper or a study in `benchmarks/`, and stands beside the number. Where none stands, none is recorded.
+The comment beside a number names its source: a paper or a study in `benchmarks/`. For other numbers no source is
+recorded.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ class _Columns:
 
     @property
     def torque_from(self) -> str:
-        """Return where the torque comes from, as in `Signals`."""
+        """Return where the torque comes from: "joint", "motor" or "given"."""
         return "motor" if self.motor_side else ("given" if self.stand is None else "joint")
 
     @property
@@ -204,7 +204,7 @@ def refuse_at_rest(recording: Recording, signals: Signals) -> None:
 class LongRecording:
     """A recording that is too long for memory, and whose signals are computed block by block.
 
-    The first million rows set the window. Raises Untrustworthy as `prepare` for these rows.
+    The first million rows set the window. Raises Untrustworthy if no signals can be computed from these rows.
     """
 
     def __init__(self, recording: Recording, stand: StandTable | None) -> None:
@@ -229,8 +229,8 @@ class LongRecording:
         return left
 
     def stream(self, block: int = 1 << 18) -> Iterator[Signals]:
-        """Yield the signals as from `prepare`, `block` rows at a time, read with enough neighbours for complete
-        windows.
+        """Yield the signals of `block` rows at a time. Neighbouring rows are read too, so that all windows are
+        complete.
         """
         margin = 2 * self._window.widest + MARGIN  # lost rows take room too
         starts = range(0, len(self._recording), block)

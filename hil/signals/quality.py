@@ -30,12 +30,13 @@ Array = NDArray[np.float64]
 class Quality:
     """The quality of a recording.
 
-    samples: number of rows of the file. saturated, late: numbers of rows with these flags. torque_from: see `Signals`.
-    torque, N m, and deflection, rad: peak to peak. deflection_lsb: the smallest step between readings, rad.
-    torque_noise: standard deviation of the torque about a local polynomial, N m. snr: ratio of the torque's variance to
-    that noise's, dB; infinite without noise. slower: the sensors that are slower than the ticks. highest: the frequency
-    up to which the joint moved, Hz. refused_rate: how a recorded rate that is not used differs from the deflection's
-    derivative. negative: the stiffness, N m/rad, if a sign is wrong.
+    samples: number of rows of the file. saturated, late: numbers of rows with these flags. torque_from: where the
+    torque comes from: "joint", "motor", "given" or "mixed". torque, N m, and deflection, rad: peak to peak.
+    deflection_lsb: the smallest step between readings, rad. torque_noise: standard deviation of the torque about a
+    local polynomial, N m. snr: ratio of the torque's variance to that noise's, dB; infinite without noise. slower: the
+    sensors that are slower than the ticks. highest: the frequency up to which the joint moved, Hz. refused_rate: how a
+    recorded rate that is not used differs from the deflection's derivative. negative: the stiffness, N m/rad, if a sign
+    is wrong.
     """
 
     samples: int

@@ -334,7 +334,9 @@ def _mostly(where: NDArray[np.bool_]) -> bool:
 
 
 def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the first and last sample (k, 2) of each line; on (n,): which samples lie between two on the line."""
+    """Return the first and last sample (k, 2) of each line. on (n,): which samples lie on the line between their
+    neighbours.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
     return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
 

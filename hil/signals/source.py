@@ -43,7 +43,9 @@ class Source:
         return 0.0 if self.table is None else self.table.torque_uncertainty
 
     def verify(self, progress: Progress | None = None) -> None:
-        """Raise Untrustworthy if the recording has changed since it was written. progress: as in `Recording.verify`."""
+        """Raise Untrustworthy if the recording has changed since it was written. progress: called with the checked
+        fraction.
+        """
         if self.recording.damaged:
             raise Untrustworthy(
                 f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "
@@ -58,7 +60,7 @@ class Source:
 
 @contextmanager
 def open_sources(given: Sequence[Given]) -> Iterator[list[Source]]:
-    """Open recordings or parts of them. Raises WrongUse and Untrustworthy as `Recording` and `hil.stand.file.parse`."""
+    """Open recordings or parts of them. Raises WrongUse, and Untrustworthy for a damaged recording."""
     with ExitStack() as stack:
         sources = []
         for one in given:

@@ -151,5 +151,5 @@ def starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[i
 
 
 def within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return which rows (n,) of a file lie between the two numbers in `rows`, the first included."""
+    """Return which row numbers (n,) of a file are at least `rows[0]` and less than `rows[1]`."""
     return (row >= rows[0]) & (row < rows[1])

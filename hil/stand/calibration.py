@@ -17,7 +17,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 def _in_utc(date: datetime) -> datetime:
-    """Return the date in UTC, which a date without a zone is in. Raises ValueError for a year that UTC cannot have."""
+    """Return the date in UTC; a date without a time zone counts as UTC. Raises ValueError for a year that UTC cannot
+    have.
+    """
     try:
         return date.replace(tzinfo=UTC) if date.tzinfo is None else date.astimezone(UTC)
     except OverflowError:

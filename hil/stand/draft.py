@@ -35,7 +35,7 @@ class Question:
 
     @property
     def key(self) -> str:
-        """The key as it is written in messages: table.name."""
+        """The key as messages state it: table.name."""
         return f"{self.table}.{self.name}"
 
 
@@ -80,8 +80,8 @@ class Draft:
         return [*_STAND, *(q for q in self._device_questions() if q.default is None), *_LIMITS]
 
     def answers(self, question: Question) -> list[str]:
-        """Return the answers to a question that are known: the values that a key can have, and what this computer has:
-        its ports and interfaces, each with what is connected in brackets.
+        """Return the known answers to a question: the values that its key can have, or the ports and interfaces of this
+        computer, each with the connected device in brackets.
         """
         from drivers.ports import can_interfaces, serial_ports
 

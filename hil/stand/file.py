@@ -103,8 +103,8 @@ class Stand:
 
     stand, limits: the tables; limits is None if the file sets none. devices: the tables of the servos in the file, by
     backend. sensor: kind and table of the joint sensor, None without a joint sensor. text: the file as written.
-    calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding]. keeps_torque: as in
-    `File`. path: of the file, None if the stand was not read from a file.
+    calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding]. keeps_torque: whether
+    each drive, by name, kept its torque in a test. path: of the file, None if the stand was not read from a file.
     """
 
     stand: StandTable
@@ -200,7 +200,7 @@ def load(path: Path) -> Stand:
 def checked(stand: Stand, name: str) -> Stand:
     """Return `stand`. Raises WrongUse for a torque limit or inertia without a unit that no one means with this drive.
 
-    name: of the file. The text in a recording is not checked: its run is over.
+    name: of the file. The stand file in a recording is not checked, because its run is over.
     """
     drive = stand.devices.get(str(stand.stand.backend), stand.sim if stand.stand.backend == "sim" else None)
     largest = drive.largest_torque if isinstance(drive, HasLargestTorque) else math.inf

@@ -34,8 +34,7 @@ class ReplayConfig:
 def replayed(path: Path) -> Stand:
     """Return the stand with which `path` was recorded, but with the recording played back in place of the servo.
 
-    Raises WrongUse if the recording contains no stand file; raises WrongUse and Untrustworthy as opening a recording
-    does.
+    Raises WrongUse, also if the recording contains no stand file, and Untrustworthy for a damaged recording.
     """
     from hil.recording.reader import Recording
     from hil.stand.file import parse
@@ -54,8 +53,8 @@ def replayed(path: Path) -> Stand:
 
 
 class ReplayServo:
-    """A servo that plays a recording back in virtual time. Raises WrongUse and Untrustworthy as opening a recording
-    does.
+    """A servo that plays a recording back in virtual time. Raises WrongUse, and Untrustworthy for a damaged
+    recording.
     """
 
     def __init__(self, config: ReplayConfig) -> None:

@@ -56,14 +56,14 @@ class StandServo:
         return self._servo.clock
 
     def arm(self, limits: Limits) -> None:
-        """Arm the servo. Raises as the servo does."""
+        """Arm the servo. Raises DriverError."""
         low, high = limits.position
         self._servo.arm(replace(limits, position=(low + self._zero, high + self._zero)))
 
     def exchange(self, command: Command) -> Sample:
         """Exchange a command and a sample with the servo, and add the joint sensor's newest reading to the sample.
 
-        Raises as the servo does, LinkLost if the connection to the sensor is lost, NoReply if the sensor has been
+        Raises DriverError: LinkLost also if the connection to the sensor is lost, NoReply also if the sensor has been
         silent for longer than `SILENCE` s.
         """
         if command.quantity is Quantity.POSITION:
@@ -75,7 +75,7 @@ class StandServo:
         return replace(sample, motor_position=sample.motor_position - self._zero, joint_torque=torque, t_joint=t_joint)
 
     def disarm(self) -> None:
-        """Switch the torque off. Raises as the servo does."""
+        """Switch the torque off. Raises DriverError."""
         self._servo.disarm()
 
     def close(self) -> None:

@@ -72,7 +72,9 @@ def felt(rate: Array) -> float:
 
 
 def over_rates(least: float, most: float) -> Bounds:
-    """Return the bounds of a rate, rad/s, over which friction changes; least, most: relative to `felt`."""
+    """Return the bounds of a rate, rad/s, over which friction changes. least, most: the bounds relative to the rate
+    `felt`.
+    """
     return lambda motion, _highest: ((least * felt(motion.dtheta_dot), most * felt(motion.dtheta_dot)),)
 
 

@@ -55,7 +55,9 @@ def selection_chart(found: Identification) -> Chart:
 
 
 def _split(steps: Sequence[Step], values: Sequence[float], *, from_zero: bool = False) -> list[Line]:
-    """Return the points of the included terms and those of the rejected ones. from_zero: a stem from 0 to each."""
+    """Return a line of points for the included terms and one for the rejected terms. from_zero: draw a stem from 0 to
+    each point.
+    """
     heights, lines = np.array(values, np.float64), []
     for name, mark, colour, included in (("included", "dot", "first", True), ("rejected", "ring", "error", False)):
         chosen = np.array([step.included == included for step in steps]) & np.isfinite(heights)

@@ -30,7 +30,7 @@ def recording_figure(channels: Channels, units: Mapping[str, str]) -> Figure:
 
 
 def recording_chart(channels: Channels, units: Mapping[str, str]) -> Chart:
-    """Return the same panels as a chart, one below the other."""
+    """Return a chart of command, torque and deflection over time, and torque over deflection, one below the other."""
     return Chart(_panels(channels, units))
 
 

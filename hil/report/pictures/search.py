@@ -33,9 +33,9 @@ _UNKNOWN = 0.2  # of the value, for half an interval that is not finite
 
 
 def is_of_one_fitness(found: Identification) -> bool:
-    """Return whether the trials were judged by the fitness of the exact optimum, which their curves then approach.
+    """Return whether the trials minimised the fitness of the exact optimum, so that their curves approach this optimum.
 
-    A search over nonlinear parameters judges them by another one.
+    A search over nonlinear parameters minimises another fitness.
     """
     reached = float(found.trials.history.fitness[:, -1].min())
     return bool(np.isclose(reached, found.trials.fitness.min(), rtol=_SAME, atol=0.0))
@@ -238,7 +238,7 @@ def _populations(
 
 
 def _interval(found: Identification, stiffness: float, damping: float) -> list[Line]:
-    """Return the rectangle of the 95 % intervals of Kc and Bc, none if one is not known."""
+    """Return the rectangle of the 95 % intervals of Kc and Bc; no line if one of the intervals is not known."""
     (low, high), (least, most) = (found[name].ci95 for name in PARAMETERS)
     if not np.isfinite([low, high, least, most]).all():
         return []

@@ -19,7 +19,7 @@ def trace_rows(*signals: Array) -> NDArray[np.intp]:
     """Return the rows of the lowest and the highest value of each signal (n,) in each part of the recording, in
     order; every row of a short recording.
 
-    NaN: a row where lines are interrupted, which is kept.
+    A row with a NaN, at which lines are interrupted, is always returned.
     """
     count = len(signals[0])
     if count <= 2 * len(signals) * _PARTS:
@@ -37,7 +37,7 @@ def trace_rows(*signals: Array) -> NDArray[np.intp]:
 def loop_pieces(*signals: Array) -> list[Array]:
     """Return signals (n,) for a line in which only samples that follow each other are joined.
 
-    All of a recording, or of a long one uninterrupted pieces that are evenly distributed, a NaN after each.
+    Of a long recording, only evenly distributed pieces without gaps are returned, each followed by a NaN.
     """
     count = len(signals[0])
     if count <= _LOOP:
@@ -48,7 +48,9 @@ def loop_pieces(*signals: Array) -> list[Array]:
 
 
 def in_order(time: Array) -> Array:
-    """Return times (n,) s in which a NaN, where lines are interrupted, is the middle of its neighbours."""
+    """Return times (n,), s, in which each NaN, at which lines are interrupted, is replaced by the middle of its
+    neighbours.
+    """
     unknown = np.isnan(time)
     if not unknown.any() or unknown.all():
         return time

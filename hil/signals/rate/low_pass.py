@@ -125,8 +125,7 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 
 
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return a function that low-passes readings (n,) or (k, n) at stamps (n,), s, rising, and returns the value as
-    `passed` does.
+    """Return a function that returns the low-passed values of readings (n,) or (k, n) at stamps (n,), s, rising.
 
     What depends only on the stamps is computed once, so that many readings at the same stamps cost less.
     """
@@ -175,7 +174,9 @@ def _passed(time: Array, values: Array, low_pass: LowPass) -> Array:
 
 
 def _passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
-    """Return a function that gives the first row of `_passed`, for stamps that are used many times."""
+    """Return a function that low-passes readings (n,) of one piece without gaps, for stamps that are used many
+    times.
+    """
     if _is_even(time, low_pass):
         return lambda values: np.asarray(_filtered(values, low_pass, 1)[..., 0, :])
     if not 2 * low_pass.near < len(time) < c.KEPT_WEIGHTS:

@@ -55,8 +55,8 @@ def refused_rate(
 ) -> OwnRate | None:
     """Return why a recorded rate is not used: it is filtered, or else noisy; None if it is used.
 
-    given (n,): the recorded rate, rad/s. torque (n,) N m and dtheta (n,) rad: at time (n,) s. derived, highest: see
-    `own_rate`.
+    given (n,): the recorded rate, rad/s. torque (n,) N m and dtheta (n,) rad: at time (n,) s. derived (n,): the
+    deflection's derivative, rad/s. highest: the upper end of the excited band, Hz.
     """
     return own_rate(time, given, derived, highest) or _noisy(torque, dtheta, given, derived)
 
@@ -65,8 +65,8 @@ def is_difference(time: Array, dtheta: Array, given: Array, derived: Array) -> b
     """Return whether a recorded rate was computed from differences of the deflection.
 
     given (n,): the recorded rate, rad/s. dtheta (n,): the deflection, rad. The differences are those between both
-    neighbours, or to the sample before or after; the rate then has the errors of the deflection. derived: see
-    `own_rate`.
+    neighbours, or to the sample before or after; the rate then has the errors of the deflection. derived (n,): the
+    deflection's derivative by local polynomials, rad/s.
     """
     good = np.flatnonzero(np.isfinite(derived))[:ENOUGH]
     quotients = np.diff(dtheta) / np.diff(time)
@@ -115,7 +115,9 @@ def own_rate(time: Array, given: Array, derived: Array, highest: float) -> OwnRa
 
 
 def _inside(time: Array, margin: float) -> NDArray[np.bool_]:
-    """Return which samples at rising times (n,), s, are farther than `margin`, s, from every gap: a lag leads there."""
+    """Return which samples at rising times (n,), s, are farther than `margin`, s, from every gap, so that a lag of that
+    size does not reach into the gap.
+    """
     gaps = np.flatnonzero(np.diff(time) > APART * np.median(np.diff(time)))
     edges = np.sort(np.concatenate([time[gaps], time[gaps + 1]]))
     before, after = np.searchsorted(edges, time - margin), np.searchsorted(edges, time + margin, side="right")
