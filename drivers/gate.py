@@ -159,7 +159,9 @@ class Gate:
         self._limits = None
 
     def force_off(self) -> None:
-        """Request torque-off even if the servo counts as disarmed: its device may still be live. Raises as `disarm`."""
+        """Request torque-off even if the servo counts as disarmed: its device may still be live. Raises LinkLost,
+        DriverError.
+        """
         self.live = True
         self.disarm()
 
@@ -245,6 +247,8 @@ def watchdog_problem(table: str, watchdog: float, reply_timeout: float) -> str:
 
 
 def check_watchdog(table: str, watchdog: float, reply_timeout: float) -> None:
-    """Raise ValueError with the text of `watchdog_problem` if it is not ""."""
+    """Raise ValueError if a watchdog of `watchdog` s (0: none) is too short for a reply that takes
+    `reply_timeout` s.
+    """
     if problem := watchdog_problem(table, watchdog, reply_timeout):
         raise ValueError(problem)

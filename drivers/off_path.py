@@ -1,7 +1,7 @@
-"""How another process switches off the torque of a drive whose link this process has open.
+"""The data with which another process switches off the torque of a drive whose link this process has open.
 
 A process that was killed or is frozen sends nothing. Each driver therefore gives, as bytes for its link, the frames
-that switch the torque off without a reply and the frames that restore the drive's settings: see `OffPath`.
+that switch the torque off without a reply and the frames that restore the drive's settings (`OffPath`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""One owner of a link: a lock that the kernel frees when its process ends, and the process that holds it.
+"""One owner of a link: a lock that the kernel frees when the owning process ends, and the id of that process.
 
-A serial port is locked with flock, as pyserial does. A bus that is no file is locked by a name that one socket only can
-have (Linux: unix(7), abstract sockets). Neither leaves anything on the disk, and users share both.
+A serial port is locked with flock, as pyserial does. A bus that is no file is locked by a socket's name, which only one
+socket can have (abstract sockets of Linux, unix(7)). Neither lock leaves a file on the disk, and both exclude other
+users' processes too.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Claim:
     """The lock of a link, held until `release`. Raises DriverError, which names the process that holds it already.
 
     link: name of the link in messages. device: path of its serial port, None if the link is no file; `link` is then the
-    name that is locked. A device that is missing is not locked: to open it says why.
+    name that is locked. A missing device is not locked; the later attempt to open it reports the error.
     """
 
     def __init__(self, link: str, device: Path | None = None) -> None:
@@ -77,7 +78,7 @@ class Claim:
 
 
 def holder(device: Path) -> int:
-    """Return the id of the process that has locked `device` with flock, 0 if the system does not say. See proc(5)."""
+    """Return the id of the process that has locked `device` with flock, 0 if /proc/locks does not show it."""
     with contextlib.suppress(OSError, ValueError, IndexError):
         seen = device.stat()
         wanted = f"{os.major(seen.st_dev):02x}:{os.minor(seen.st_dev):02x}:{seen.st_ino}"
@@ -107,7 +108,7 @@ def in_use(link: str, pid: int) -> DriverError:
 
 
 def _listener(address: bytes) -> int:
-    """Return the id of the process that listens at `address`, 0 if it has ended meanwhile."""
+    """Return the id of the process whose socket has the name `address`, 0 if the process has ended meanwhile."""
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         asking.connect(address)

@@ -131,7 +131,9 @@ def _ask_ip(name: str) -> Mapping[str, Any]:
 
 
 def _permission(port: Path) -> str:
-    """Return how this user gets to use `port`: by joining its group, unless that is root's, or has no access either."""
+    """Return how this user can get access to `port`: by joining its group; otherwise, such as for root's group, by a
+    change of its permissions.
+    """
     try:
         group, mode = port.group(), port.stat().st_mode
     except (KeyError, OSError, NotImplementedError):

@@ -25,7 +25,9 @@ class Counts:
         return counts * self.lsb - self.most
 
     def inside(self, counts: int) -> float:
-        """Return the value of `counts`, NaN at the ends of the range, where a motor sends everything beyond it."""
+        """Return the value of `counts`; NaN at the ends of the range, which a motor sends for every value beyond the
+        range.
+        """
         return math.nan if counts in {0, self.top} else self.value(counts)
 
 

@@ -1,8 +1,9 @@
 """The USB-CAN adapter that Damiao sells, a serial port, as a bus of python-can.
 
-A frame is sent as 30 bytes and received as 16 bytes, without a checksum. Source: the maker's sheet of the adapter's
-serial frames; identifiers are little-endian, as in the maker's DM_Control. python-can's own plugin (python-can-damiao
-0.1.0) reads them big-endian, and loses all but the first frame of those that arrive together.
+The serial port carries a CAN frame as 30 bytes when it is sent and 16 bytes when it is received, without a checksum.
+Source: the maker's sheet of the adapter's serial frames; identifiers are little-endian, as in the maker's DM_Control.
+python-can's own plugin (python-can-damiao 0.1.0) reads them big-endian, and loses all but the first frame of those that
+arrive together.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ def encoded(message: can.Message) -> bytes:
 class DamiaoBus(can.BusABC):
     """The bus behind the adapter at the serial port `channel`. bitrate: bit/s on the bus.
 
-    serialPortOrig: the open port, named as in python-can's slcan. Raises DriverError if the port cannot be opened or
-    the adapter refuses the bit rate, ValueError for a bit rate that it does not have.
+    serialPortOrig: the open port; python-can's slcan bus uses this name too. Raises DriverError if the port cannot be
+    opened or the adapter refuses the bit rate, ValueError for a bit rate that it does not have.
     """
 
     def __init__(self, channel: str, bitrate: int) -> None:
@@ -86,8 +87,8 @@ class DamiaoBus(can.BusABC):
         return None, False
 
     def _until(self, deadline: float) -> Iterator[tuple[int, int, int, bytes]]:
-        """Yield command, format, identifier and data of what the adapter sends until `deadline`, s, and read no byte
-        ahead of what is yielded.
+        """Yield command, format, identifier and data of each message of the adapter until `deadline`, s. No byte behind
+        the yielded message is read yet.
         """
         while True:
             self._part += self.serialPortOrig.read(_RECEIVED.size - len(self._part))

@@ -89,7 +89,7 @@ def frame(
 ) -> can.Message:
     """Return a frame to send.
 
-    ident: its CAN identifier. remote: a remote frame, which asks for data. extended: a 29 bit identifier. fd: a CAN FD
+    ident: CAN identifier. remote: a remote frame, which requests data. extended: a 29 bit identifier. fd: a CAN FD
     frame with the faster data rate.
     """
     return can.Message(
@@ -126,9 +126,9 @@ def _options(config: BusConfig) -> dict[str, Any]:
 
 
 def claimed(config: BusConfig) -> Claim:
-    """Return the lock of the bus that `config` names. Raises DriverError, which names the process that has it open.
+    """Return the lock of the bus that `config` names. Raises DriverError, which names the process that uses the bus.
 
-    It is taken before anything is opened: python-can resets some adapters while it opens them.
+    The lock is taken before the bus is opened, because python-can resets some adapters while it opens them.
     """
     channel = config.channel.strip()
     if config.interface in _SERIAL and "://" not in channel:
@@ -164,7 +164,9 @@ def _multicast(channel: str) -> can.BusABC:
 
 
 def _errno(error: BaseException | None) -> int:
-    """Return the errno of `error` or of its cause, 0 without one. A CanError's `error_code` may be a maker's own."""
+    """Return the system's errno of `error` or of its cause, 0 without one. (A CanError's `error_code` may be a vendor's
+    number.)
+    """
     while error is not None:
         if number := getattr(error, "errno", None):
             return int(number)
@@ -247,8 +249,8 @@ class CanLink:
         raise BadReply(f"{self.name} never falls silent: another program or a broken drive keeps talking on it")
 
     def off_path(self, off: Iterable[can.Message], restore: Iterable[can.Message] = ()) -> OffPath:
-        """Return how another process sends the frames `off`, which switch the torque off, and then `restore` on this
-        bus.
+        """Return the data with which another process can send the frames `off`, which switch the torque off, and then
+        `restore`, on this bus.
         """
         config, bus = self._config, self._bus
         where: dict[str, Any] = {}

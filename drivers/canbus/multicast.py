@@ -1,7 +1,7 @@
 """A udp_multicast bus of python-can that does not return the frames which this program sent.
 
 A CAN controller does not receive its own frames, but a multicast socket does, and python-can returns these frames. All
-sockets of a group share one port, so the sender's address does not tell who sent a frame. Received frames are therefore
+sockets of a group share one port, so the sender's address does not show who sent a frame. Received frames are therefore
 compared with the sent ones.
 """
 

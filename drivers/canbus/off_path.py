@@ -1,4 +1,4 @@
-"""Encode CAN frames as bytes, so that another process can send them to the CAN interface: see `drivers.off_path`."""
+"""Encode CAN frames as bytes, so that another process can send them to the CAN interface (`drivers.off_path`)."""
 
 from __future__ import annotations
 

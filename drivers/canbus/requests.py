@@ -5,7 +5,7 @@ next request. After a lost reply nothing is requested until the missing replies 
 all received frames are discarded.
 
 Frames do not overtake each other. A drive may also send some kinds of frames cyclically; of these the last frame before
-the end of the exchange is used. The kind that is requested last should be one that the drive sends only on request.
+the end of the exchange is used. The last request should be for a kind that the drive sends only on request.
 """
 
 from __future__ import annotations
@@ -73,7 +73,9 @@ class Requests:
         return self.repeats(lambda: self.ask_once(frames, wanted))
 
     def ask_once(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
-        """Send `frames` and return the replies as `ask` does, but never send the request again when a reply is lost."""
+        """Send `frames` once, and return the data of one reply of each kind in `wanted`. If a reply is lost, the
+        request is not sent again.
+        """
         self._settle()
         self.process()
         missing = Counter(wanted)
@@ -152,7 +154,7 @@ class Requests:
         return done()
 
     def _settle(self) -> None:
-        """Wait for the missing replies to earlier requests, for at most `LATE`."""
+        """Wait for the missing replies to earlier requests, for at most `LATE` s."""
         if self._due:
             self.wait_until(LATE, lambda: not self._due)
             self._due.clear()

@@ -41,7 +41,7 @@ class Objects:
     def require(self, place: ObjectIndex, value: int, what: str) -> None:
         """Write `value` to the object `place` and read it back. `restore` writes the earlier value again.
 
-        what: name of the setting in messages. Raises as `Settings.require`.
+        what: name of the setting in messages. Raises DriverError if the drive then holds another value.
         """
         data = _packed(place, value, len(self._network.read(place)))
         self.settings.require(place, data, f"its {what} (object {place})")

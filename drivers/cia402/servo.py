@@ -121,11 +121,13 @@ class Cia402Servo:
         return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Set zero torque and disable voltage until the drive confirms it. Raises as `Gate.disarm`."""
+        """Set zero torque and disable voltage until the drive confirms it. Raises DriverError if the drive does not
+        confirm it.
+        """
         self._gate.disarm()
 
     def close(self) -> None:
-        """Switch the torque off, restore the objects, and close the bus. Never raises; see `Gate.close`."""
+        """Switch the torque off, restore the objects, and close the bus. Never raises DriverError."""
         self._gate.close(self._node.restore)
 
     def fall_silent(self) -> None:
@@ -153,8 +155,8 @@ class Cia402Servo:
         return self._node.set_point(ENABLE, max(-self._most, min(self._most, counts)))
 
     def _slow_request(self) -> list[can.Message]:
-        """Store the replies about temperature and voltage. Return the next such request in every sixteenth tick, else
-        nothing.
+        """Store received replies about temperature and voltage. In every sixteenth tick, return the next request for
+        one of them, else nothing.
         """
         kind = self._node.profile
         for place, data in self._node.network.late_replies():

@@ -100,8 +100,8 @@ class CommanderLink:
         return lines
 
     def off_path(self, commands: list[str]) -> OffPath:
-        """Return how another process sends `commands` on this port. A line end is sent first, to end a command that was
-        cut off.
+        """Return the data with which another process can send `commands` on this port. A line end is sent first, to end
+        a command that was cut off.
         """
         off = tuple(f"{command}\n".encode("ascii") for command in commands)
         return OffPath(
@@ -146,7 +146,9 @@ class CommanderLink:
         return [line for line in self._lines.feed(self._receive()) if not (self.echoes and self._is_own(line))]
 
     def _is_own(self, line: str) -> bool:
-        """Return whether the board returns a command with `line`: of two equal lines only the first is returned."""
+        """Return whether `line` is a command that the board has returned (an echo). Each sent command is
+        returned once.
+        """
         own = line in self._own
         if own:
             del self._own[: self._own.index(line) + 1]
@@ -170,5 +172,5 @@ class CommanderLink:
 
 
 def shown(line: str) -> str:
-    """Return an unexpected line as it is quoted in a message."""
+    """Return an unexpected line in the form in which a message quotes it."""
     return repr(line if len(line) <= _SHOWN else line[:_SHOWN] + "...")

@@ -137,11 +137,11 @@ class CommanderServo:
         )
 
     def disarm(self) -> None:
-        """Disable the motor and set its target to zero. Raises as `Gate.disarm`."""
+        """Disable the motor and set its target to zero. Raises DriverError if the drive does not confirm it."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Disable the motor and close the port. Never raises; see `Gate.close`."""
+        """Disable the motor and close the port. Never raises DriverError."""
         self._gate.close()
 
     def fall_silent(self) -> None:

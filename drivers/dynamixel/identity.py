@@ -100,8 +100,8 @@ def _answers_pings_only(bus: Bus) -> bool:
 
 
 def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
-    """Make a servo that replies to pings only reply to everything, and return model and firmware. Raises NoReply if it
-    still does not reply.
+    """Make a servo that replies only to pings reply to all requests, and return model and firmware. Raises NoReply if
+    it still does not reply.
     """
     try:
         _confirm_writes(bus, table, series, level=0)
@@ -114,8 +114,8 @@ def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo on the port; see `search_every_rate`. Only pings are sent. A baud rate takes 2
-    s.
+    """Return a sentence for every servo that replies at any baud rate on the port. Only pings are sent. Each baud rate
+    takes 2 s.
     """
 
     def name(_line: SerialPort, _ident: int, number: int) -> str:

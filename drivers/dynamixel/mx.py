@@ -39,7 +39,7 @@ _TICK_FIRMWARE = 40  # from which there is a Realtime Tick(50)
 
 
 class MxSeries:
-    """A servo of the MX series; see `drivers.dynamixel.series.Series`."""
+    """A servo of the MX series (`drivers.dynamixel.series.Series`)."""
 
     eeprom_end = 24
     block = (36, 34)
@@ -123,7 +123,7 @@ class MxSeries:
         return register.address, register.encoded(clipped - turns_off), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """Raise DeviceFault if a reply carries hardware errors; see `Series`."""
+        """Raise DeviceFault if a reply carries hardware errors."""
         del table
         bus.ping(0)
         if bus.alert:
@@ -151,5 +151,5 @@ class MxSeries:
 
 
 def _signed(value: int) -> int:
-    """Return the signed value of a number in which bit 10 means clockwise."""
+    """Return the signed value of a number in which bit 10 means clockwise (negative)."""
     return -(value & (_CLOCKWISE - 1)) if value & _CLOCKWISE else value & (_CLOCKWISE - 1)

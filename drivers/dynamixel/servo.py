@@ -112,11 +112,11 @@ class DynamixelServo:
         return self._sample(raw, sent, received, saturated=saturated)
 
     def disarm(self) -> None:
-        """Switch the torque off and read it back. Raises as `Gate.disarm`."""
+        """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Switch the torque off, restore the EEPROM, and close the port. Never raises; see `Gate.close`."""
+        """Switch the torque off, restore the EEPROM, and close the port. Never raises DriverError."""
         self._gate.close(self._table.settings.restore)
 
     def fall_silent(self) -> None:

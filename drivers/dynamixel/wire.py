@@ -31,8 +31,8 @@ _REFUSALS_2 = {
 class Wire2:
     """DYNAMIXEL protocol 2.0.
 
-    A packet that contains FF FF FD needs byte stuffing: a byte FD is inserted behind. dynamixel-sdk does not stuff
-    requests and removes the stuffing of some replies wrongly, so this class does both instead.
+    A packet that contains FF FF FD needs byte stuffing: a byte FD is inserted behind these bytes. dynamixel-sdk does
+    not stuff requests and removes the stuffing of some replies wrongly, so this class stuffs and unstuffs instead.
     """
 
     status_size = 11
@@ -49,7 +49,7 @@ class Wire2:
         return frame + self._checksum(frame)
 
     def place(self, *numbers: int) -> bytes:
-        """Return addresses and lengths as two bytes each."""
+        """Return addresses and lengths, each as two bytes."""
         return b"".join(number.to_bytes(2, "little") for number in numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:

@@ -35,7 +35,7 @@ _TORQUE_ON_BY_GOAL = 0x08  # Drive Mode(10) bit 3
 
 
 class XSeries:
-    """A servo of the X series; see `drivers.dynamixel.series.Series`."""
+    """A servo of the X series (`drivers.dynamixel.series.Series`)."""
 
     eeprom_end = 64
     block = (120, 27)
@@ -107,7 +107,7 @@ class XSeries:
         return register.address, register.encoded(clipped), clipped
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
-        """Raise DeviceFault if Hardware Error Status(70) is not zero; see `Series`."""
+        """Raise DeviceFault if Hardware Error Status(70) is not zero."""
         del bus
         bits = table.get("hardware_error_status")
         if bits:

@@ -83,8 +83,8 @@ def _dump(bus: Bus) -> str:
 
 
 def search(config: FeetechConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo on the port; see `search_every_rate`. Nothing is written. A baud rate takes 1
-    s.
+    """Return a sentence for every servo that replies at any baud rate on the port. Nothing is written. Each baud rate
+    takes 1 s.
     """
     clock = clock or MonotonicClock()
 

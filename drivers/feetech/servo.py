@@ -114,11 +114,11 @@ class FeetechServo:
         return self._sample(self._block.state(raw), sent, received, saturated=saturated)
 
     def disarm(self) -> None:
-        """Switch the torque off and read it back. Raises as `Gate.disarm`."""
+        """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Switch the torque off, restore the settings, and close the port. Never raises; see `Gate.close`."""
+        """Switch the torque off, restore the settings, and close the port. Never raises DriverError."""
         self._gate.close(self._restore)
 
     def _restore(self) -> None:

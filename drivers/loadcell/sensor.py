@@ -72,7 +72,7 @@ class LoadCell:
         """Return times, s, and joint torques, N m, of all readings that arrived since the last call of this method or
         of `read`, oldest first.
 
-        Raises as `read`.
+        Raises LinkLost, and BadReply if all new lines are damaged.
         """
         readings, trouble = self._take()
         if trouble is not None and not readings:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 class MitMotor:
-    """One motor on the bus. Every method raises as `Requests.ask` does."""
+    """One motor on the bus. Every method raises NoReply, BadReply, LinkLost."""
 
     def __init__(self, config: MitConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
@@ -131,7 +131,7 @@ class MitMotor:
     def require(self, name: str, value: float) -> None:
         """Write `value` to the register `name` of a Damiao and read it back. The motor loses this value without power.
 
-        Raises as `Settings.require`.
+        Raises DriverError if the drive then holds another value.
         """
         exact = float(registers()[name].layout.unpack(self._encoded(name, value))[0])
         self.settings.require(name, exact)

@@ -104,14 +104,14 @@ class MitServo:
         )
 
     def disarm(self) -> None:
-        """Leave motor mode and wait for the reply. Raises as `Gate.disarm`.
+        """Leave motor mode and wait for the reply. Raises DriverError if the drive does not confirm it.
 
         An AK does not report whether it is enabled, so its reply to the frame is the confirmation.
         """
         self._gate.disarm()
 
     def close(self) -> None:
-        """Switch the torque off, restore the registers, and close the bus. Never raises; see `Gate.close`."""
+        """Switch the torque off, restore the registers, and close the bus. Never raises DriverError."""
         self._gate.close(self._motor.settings.restore)
 
     def fall_silent(self) -> None:

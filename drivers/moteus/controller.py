@@ -37,7 +37,7 @@ _POLLS = 40
 
 
 class Controller:
-    """One moteus controller. Every method raises as `Requests.ask` does.
+    """One moteus controller. Every method raises NoReply, BadReply, LinkLost.
 
     settings: numbers of the controller's configuration. They are not stored, so the controller loses changes without
     power.

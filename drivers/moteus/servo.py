@@ -135,11 +135,11 @@ class MoteusServo:
         return self._sample(state, sent, received, saturated=admitted.clipped)
 
     def disarm(self) -> None:
-        """Stop the controller and wait for its confirmation. Raises as `Gate.disarm`."""
+        """Stop the controller and wait for its confirmation. Raises DriverError if the drive does not confirm it."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Stop the controller, restore its configuration, and close the bus. Never raises; see `Gate.close`."""
+        """Stop the controller, restore its configuration, and close the bus. Never raises DriverError."""
         self._gate.close(self._controller.settings.restore)
 
     def fall_silent(self) -> None:

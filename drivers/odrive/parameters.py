@@ -77,8 +77,8 @@ class Parameters:
         return retry(request)
 
     def require(self, name: str, value: float) -> None:
-        """Write `value` to the parameter `name` and read it back; a float may be rounded to 32 bits. Raises as
-        `Settings.require`.
+        """Write `value` to the parameter `name` and read it back; a float may be rounded to 32 bits. Raises DriverError
+        if the drive then holds another value.
         """
         layout = self._endpoint(name)[1]
         exact = float(struct.unpack(layout, _packed(layout, value))[0])

@@ -132,11 +132,13 @@ class OdriveServo:
         )
 
     def disarm(self) -> None:
-        """Command zero torque and the state idle, until a heartbeat confirms idle. Raises as `Gate.disarm`."""
+        """Command zero torque and the state idle, until a heartbeat confirms idle. Raises DriverError if the drive does
+        not confirm it.
+        """
         self._gate.disarm()
 
     def close(self) -> None:
-        """Command the state idle, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
+        """Command the state idle, restore the parameters, and close the bus. Never raises DriverError."""
         self._gate.close(self._parameters.restore if self._parameters else None)
 
     def fall_silent(self) -> None:

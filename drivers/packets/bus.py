@@ -2,8 +2,8 @@
 
 The SDK handles the port, the search for the header and the checksum. This module corrects the following. The SDK
 accepts any status packet as the reply; here id, kind and length are checked. The SDK accepts a late reply as the reply
-to the next request; here the line must fall silent after a lost reply, before the next request. The SDK's flag for a
-port in use stays set after an exception; it has no effect, because the SDK does not send the requests.
+to the next request; here the line must fall silent after a lost reply, before the next request. After an exception, the
+SDK's flag for a port in use stays set; here this has no effect, because this module sends the requests itself.
 """
 
 from __future__ import annotations

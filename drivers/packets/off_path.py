@@ -1,4 +1,4 @@
-"""How another process switches off the torque of a servo that uses packets on a serial line."""
+"""The packets with which another process switches off the torque of a servo on a serial line."""
 
 from __future__ import annotations
 

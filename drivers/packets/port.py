@@ -89,7 +89,9 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
     def drain(self, silence: float) -> bool:
-        """Discard received bytes until none comes for `silence` s. Return False if some come for all of `PATIENCE`."""
+        """Discard received bytes until none arrives for `silence` s. Return False if bytes still arrive after
+        `PATIENCE` s.
+        """
         self._echo.sent(b"")
         end = self._clock.now() + PATIENCE
         quiet_since = self._clock.now()

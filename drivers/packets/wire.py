@@ -1,6 +1,6 @@
 """Encode requests to servos and decode their replies (packets). No I/O.
 
-Other vendors' servos also use protocol 1.0 of DYNAMIXEL, with error bits of their own. Source: e-manual,
+Other vendors' servos also use protocol 1.0 of DYNAMIXEL, but their error bits differ. Source: e-manual,
 emanual.robotis.com/docs/en/dxl/protocol1/.
 """
 
@@ -80,7 +80,7 @@ class Wire1:
         return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 
     def place(self, *numbers: int) -> bytes:
-        """Return addresses and lengths as one byte each."""
+        """Return addresses and lengths, each as one byte."""
         return bytes(numbers)
 
     def receive(self, port: SerialPort) -> tuple[bytes, int]:

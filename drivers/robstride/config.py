@@ -19,14 +19,14 @@ else:
 
 @dataclass(frozen=True, slots=True)
 class RobstrideConfig:
-    """The [robstride] table of stand.toml. Raises ValueError for an unknown model, or where values do not fit.
+    """The [robstride] table of stand.toml. Raises ValueError for an unknown model, or if values do not fit each other.
 
     interface: the kind of bus in python-can. channel: the bus, as python-can names it. bitrate: bit/s. model: the type
-    of the motor. id: the motor's. host_id: our id on the bus. position_range: rad, full scale of the counts,
-    where it is not that of the firmware. velocity_range: rad/s, where it is not the table's. torque_range: N m,
-    likewise. torque_scale: true torque divided by reported torque. sign: 1 where the motor's positive is the stand's,
-    else -1. watchdog: s without a frame after which the motor stops by itself; 0: as the motor has it. reply_timeout: s
-    that a reply may take.
+    of the motor. id: the motor's CAN id. host_id: our id on the bus. position_range: rad, full scale of the counts, if
+    it differs from the firmware's. velocity_range: rad/s, full scale, if it differs from the table's. torque_range: N
+    m, full scale, if it differs from the table's. torque_scale: true torque divided by reported torque. sign: 1 if the
+    motor's positive direction is the stand's, else -1. watchdog: s without a frame after which the motor stops by
+    itself; 0: the motor's present setting. reply_timeout: s that a reply may take.
     """
 
     __pydantic_config__: ClassVar[dict[str, object]] = {"extra": "forbid", "allow_inf_nan": False}
@@ -59,5 +59,5 @@ class RobstrideConfig:
 
     @property
     def bus(self) -> BusConfig:
-        """The bus."""
+        """The configuration of the CAN bus."""
         return BusConfig(self.interface, self.channel, self.bitrate)

@@ -1,8 +1,8 @@
-"""The frames of RobStride's private protocol; motors, parameters and faults from table.toml.
+"""The frames of RobStride's private protocol. Motors, parameters and faults are in table.toml.
 
-The identifier of 29 bits holds a type (5 bits), a field (16 bits) and a destination (8 bits). A torque is sent in the
-field of an operation frame; feedback has the motor's id, its faults and its mode there. Angle, velocity and torque are
-16 bits each, high byte first, mapped from their range onto all counts, so that zero lies between two.
+The identifier of 29 bits holds a type (5 bits), a field (16 bits) and a destination (8 bits). In an operation frame the
+field holds the torque; in a feedback it holds the motor's id, faults and mode. Angle, velocity and torque have 16 bits
+each, high byte first. Each range is mapped to all counts, so that zero lies between two counts.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _STATE = struct.Struct(">HHHH")
 
 @dataclass(frozen=True, slots=True)
 class RobstrideModel:
-    """A motor; table.toml explains the fields."""
+    """A RobStride model; table.toml explains the fields."""
 
     line: tuple[int, ...]
     velocity: float
@@ -44,7 +44,9 @@ class RobstrideModel:
 
 @dataclass(frozen=True, slots=True)
 class RobstrideState:
-    """A decoded feedback: rad (NaN at the end of its range), rad/s, N m, degC; fault bits and mode."""
+    """A decoded feedback: position rad (NaN at the end of its range), velocity rad/s, torque N m, temperature degC,
+    fault bits and mode.
+    """
 
     position: float
     velocity: float
@@ -56,14 +58,14 @@ class RobstrideState:
 
 @cache
 def models() -> dict[str, RobstrideModel]:
-    """Return the motors by name."""
+    """Return the RobStride models by name."""
     rows = table("robstride")["models"]
     return {name: RobstrideModel(**(row | {"line": tuple(row["line"])})) for name, row in rows.items()}
 
 
 @cache
 def parameters() -> dict[str, tuple[int, struct.Struct]]:
-    """Return index and layout of the parameters by name."""
+    """Return the index and the `struct` layout of each parameter by name."""
     return {name: (index, struct.Struct(text)) for name, (index, text) in table("robstride")["parameters"].items()}
 
 
@@ -78,27 +80,29 @@ def parts(ident: int) -> tuple[int, int, int]:
 
 
 def position_range(firmware: tuple[int, ...]) -> float:
-    """Return the full scale of the angle, rad: an RS00's was 12.5 before 0.0.2.6."""
+    """Return the full scale of the angle, rad. (An RS00 had 12.5 rad before firmware 0.0.2.6.)"""
     return _CLAMPS if firmware[:2] == _WRAPS_SINCE[:2] and firmware < _WRAPS_SINCE else _WRAPS
 
 
 def fault(bits: int, reported: int) -> DeviceFault:
-    """Return the error for the fault bits of a feedback, or for those of a fault frame where there was one."""
+    """Return the error for a fault. bits: the fault bits of a feedback. reported: those of a fault frame, 0 without
+    one, which are preferred.
+    """
     name, found, code = ("reported", reported, REPORTED | reported) if reported else ("faults", bits, bits)
     texts = {int(bit): text for bit, text in table("robstride")[name].items()}
     return DeviceFault(code, f"the motor reports a fault, kept until its power is off: {texts_of(found, texts)}")
 
 
 class Codec:
-    """Decodes the feedback of one motor whose values span plus and minus `position` rad, `velocity` rad/s and `torque`
-    N m.
+    """Decodes the feedback of one motor. The counts span plus and minus `position` rad, `velocity` rad/s and `torque` N
+    m.
     """
 
     def __init__(self, position: float, velocity: float, torque: float) -> None:
         self.position, self.velocity, self.torque = (Counts(most, 16) for most in (position, velocity, torque))
 
     def state(self, field: int, data: bytes) -> RobstrideState:
-        """Return the values of a feedback. Raises BadReply if it is too short."""
+        """Return the values of a feedback. Raises BadReply if the feedback is too short."""
         if len(data) != _STATE.size:
             raise BadReply(f"a reply of {len(data)} bytes is too short: the sample is dropped")
         position, velocity, torque, temperature = _STATE.unpack(data)

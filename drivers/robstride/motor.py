@@ -1,4 +1,4 @@
-"""One RobStride motor on the bus: its requests, and which received frames are its replies."""
+"""Send requests to one RobStride motor, and find its replies among the received frames."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _READ_DEVICE_TYPE = bytes([0x40, 0x00, 0x10, 0, 0, 0, 0, 0])
 
 
 class RobstrideMotor:
-    """Requests to one motor. Every method raises as `Requests.ask` does.
+    """Requests to one motor. Every method raises NoReply, BadReply, LinkLost.
 
-    codec: with the ranges of the firmware once `identify` has returned. reported: the bits of the last fault frame.
+    codec: has the ranges of the firmware after `identify`. reported: the fault bits of the last fault frame.
     """
 
     def __init__(self, config: RobstrideConfig, link: CanLink, clock: Clock) -> None:
@@ -57,7 +57,7 @@ class RobstrideMotor:
         return self._state(self._operation(torque_counts))
 
     def enable(self) -> RobstrideState:
-        """Let the motor run: current can flow."""
+        """Start the motor: from now on current can flow."""
         return self._state(self._frame(wire.ENABLE))
 
     def stop(self) -> RobstrideState:
@@ -66,7 +66,9 @@ class RobstrideMotor:
         return self._state(self._frame(wire.STOP))
 
     def look(self) -> RobstrideState:
-        """Return the state without a change of it: a current set-point does nothing in operation mode."""
+        """Read and return the state. A current set-point is sent for this, because it has no effect in
+        operation mode.
+        """
         return self._state(self._written("iq_ref", 0.0))
 
     def send_stop(self) -> None:
@@ -74,7 +76,7 @@ class RobstrideMotor:
         self.requests.send_now([self._frame(wire.STOP)], ["state"])
 
     def off_frames(self) -> list[can.Message]:
-        """Return the frames of zero torque and of stopping."""
+        """Return the frames that switch the torque off: zero torque, then stop."""
         return [self._operation(self.codec.torque.of(0.0)), self._frame(wire.STOP)]
 
     def restoring(self) -> list[can.Message]:
@@ -82,10 +84,11 @@ class RobstrideMotor:
         return [self._written(name, value) for name, value in self.settings.changed()]
 
     def identify(self) -> tuple[str, tuple[int, ...]]:
-        """Switch the torque off and unasked reports too, and check that the motor is the one of the stand file.
+        """Switch the torque and the cyclic reports off, and check that the motor is the model of the stand file.
 
-        Returns its serial number and its firmware's version, () if it reports none. Raises NoReply if no motor replies,
-        BadReply if several do, DriverError for another model or another protocol, DeviceFault for another host.
+        Returns its serial number and its firmware version, () if it reports no version. Raises NoReply if no motor
+        replies, BadReply if several reply, DriverError for another model or another protocol, DeviceFault if another
+        host commands it.
         """
         self.requests.send_now([self._frame(wire.STOP), self._frame(wire.REPORTING, wire.REPORT_NOTHING)], ["state"])
         self.requests.wait_until(SECOND_REPLY, lambda: False)
@@ -103,7 +106,9 @@ class RobstrideMotor:
         return serial.hex(), version
 
     def forget(self) -> None:
-        """Forget the last fault frame and another program's frames: what lasts is reported again."""
+        """Forget the last fault frame and another program's frames. A fault or program that persists will be noticed
+        again.
+        """
         self.reported, self._other = 0, ""
 
     def check_host(self) -> None:
@@ -158,7 +163,7 @@ class RobstrideMotor:
         return self.codec.state(self._field, data)
 
     def _version(self) -> tuple[int, ...]:
-        """Return the firmware's version, () where it has no such request and takes it for another stop."""
+        """Return the firmware's version; () for firmware without this request, which it treats as a stop."""
         try:
             data = retry(lambda: self.requests.ask([self._frame(wire.STOP, wire.ASK_VERSION)], ["version"])["version"])
         except NoReply:
@@ -167,7 +172,9 @@ class RobstrideMotor:
         return tuple(data[3:7])
 
     def _check_model(self, version: tuple[int, ...]) -> None:
-        """Raise DriverError where the firmware is another model's: a wrong range scales the torque, and with it Kc."""
+        """Raise DriverError if the firmware belongs to another model: its torque range would scale the torque, and Kc,
+        wrongly.
+        """
         config, line = self._config, wire.models()[self._config.model].line
         if version and line and version[: len(line)] != line and config.torque_range is None:
             raise DriverError(
@@ -182,7 +189,7 @@ class RobstrideMotor:
             )
 
     def _kind(self, message: can.Message) -> Hashable | None:
-        """Return the kind of a reply of the motor, and keep what its identifier says."""
+        """Return the kind of a reply of the motor, and store the data in its identifier."""
         if not message.is_extended_id or message.is_remote_frame:
             return None
         kind, field, to = wire.parts(message.arbitration_id)
@@ -206,7 +213,9 @@ class RobstrideMotor:
         return found
 
     def _note_other(self, kind: int, field: int) -> None:
-        """Note a command that is not ours. The guardian's have our id, and a torque of zero where there is no id."""
+        """Note a command of another program. The guardian's commands have our id, or zero torque in frames without an
+        id.
+        """
         if kind == wire.OPERATE and field != self.codec.torque.of(0.0):
             self._other = "its set-points carry no host id"
         elif kind != wire.OPERATE and field & 0xFF != self._config.host_id:
@@ -227,7 +236,7 @@ class RobstrideMotor:
         )
 
     def _other_protocol(self) -> str:
-        """Return what a motor that speaks MIT frames or CANopen needs, "" where none answers.
+        """Return the remedy for a motor that uses MIT frames or CANopen; "" if no such motor replies.
 
         An MIT stop and the request for a CANopen device type change nothing in a motor whose torque is off.
         """

@@ -1,8 +1,8 @@
 """A RobStride motor in its private protocol as a `drivers.servo.Servo`. Limits: docs/robstride.md.
 
 A tick is one frame each way: an operation frame with a torque and both gains zero, and a feedback with angle, velocity,
-torque and mode. Operation mode is used and not current mode, in which a set-point is the write of a parameter in A
-whose torque depends on the motor's constant. No torque is sent to a motor that is not armed.
+torque and mode. Current mode is not used, because its set-points are parameters in A, whose torque depends on the
+motor's torque constant. A disarmed motor is sent no torque.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _TIMEOUT_LSB = 1.0 / 20_000.0
 
 
 class RobstrideServo:
-    """One motor, opened, identified, and with its torque off.
+    """One motor that is open and identified, with its torque off.
 
-    clock, bus: those of the machine unless a test gives its own. info: torque_uncertainty is NaN where stand.toml gives
-    the scale. Raises DriverError if the bus cannot be opened, or for another model or protocol, NoReply if no motor
-    replies, BadReply where several do, DeviceFault where another program commands it.
+    clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN
+    if stand.toml states torque_scale. Raises DriverError if the bus cannot be opened, or for another model or protocol,
+    NoReply if no motor replies, BadReply if several reply, DeviceFault if another program commands the motor.
     """
 
     def __init__(self, config: RobstrideConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
@@ -56,9 +56,9 @@ class RobstrideServo:
         self._gate.live = False
 
     def arm(self, limits: Limits) -> None:
-        """Write operation mode, torque limit and watchdog, read each back, and let the motor run at zero torque.
+        """Write operation mode, torque limit and watchdog, read each back, and start the motor at zero torque.
 
-        Raises DeviceFault where a fault is latched or another program commands the motor, DriverError if a parameter is
+        Raises DeviceFault if a fault is latched or another program commands the motor, DriverError if a parameter is
         refused or the torque limit is below one count; the torque is off then.
         """
         if limits.torque < self.info.torque_lsb:
@@ -79,7 +79,7 @@ class RobstrideServo:
     def exchange(self, command: Command) -> Sample:
         """Send the set-point and read the state in one round trip.
 
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault where the motor reports a fault, stopped by
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the motor reports a fault, has stopped by
         itself, has restarted, or is commanded by another program.
         """
         admitted = self._gate.admit(command)
@@ -104,11 +104,11 @@ class RobstrideServo:
         )
 
     def disarm(self) -> None:
-        """Stop the motor until a feedback confirms it. Raises as `Gate.disarm`."""
+        """Stop the motor until a feedback confirms it. Raises DriverError if the drive does not confirm it."""
         self._gate.disarm()
 
     def close(self) -> None:
-        """Switch the torque off, restore the parameters, and close the bus. Never raises; see `Gate.close`."""
+        """Switch the torque off, restore the parameters, and close the bus. Never raises DriverError."""
         self._gate.close(self._motor.settings.restore)
 
     def fall_silent(self) -> None:
@@ -147,13 +147,15 @@ class RobstrideServo:
         )
 
     def _counts(self, torque: float) -> tuple[int, bool]:
-        """Return the counts of `torque` N m, and whether the motor's range clipped it."""
+        """Return `torque`, N m, in counts, and whether the motor's range clipped it."""
         codec = self._motor.codec
         asked = self._config.sign * torque / self._config.torque_scale
         return codec.torque.of(asked), abs(asked) > codec.torque.most
 
     def _check(self, state: RobstrideState) -> None:
-        """Raise DeviceFault for a fault, another program's command, and a motor that does not run while armed."""
+        """Raise DeviceFault if the motor reports a fault, if another program commands it, or if it does not run while
+        armed.
+        """
         self._motor.check_host()
         if state.faults or self._motor.reported:
             raise fault(state.faults, self._motor.reported)

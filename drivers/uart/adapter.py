@@ -1,5 +1,5 @@
-"""What a serial adapter does to replies: a USB adapter holds them back, and a half-duplex adapter may also return the
-bytes that were sent. No I/O.
+"""The effects of a serial adapter on replies: a USB adapter delays them, and a half-duplex adapter may also return the
+sent bytes. No I/O.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ HELD = 0.02
 
 
 class Lateness:
-    """How late the replies on one line are, in s beyond the time when they were due.
+    """Measures how late the replies on one line are, in s after the time when they were due.
 
     name: of the line; its last word is the port. timeout: s by which a reply may be late. shortest: s of silence after
-    which a line without a slow adapter has no more bytes. Until a reply was in time, `wait` is longer than `timeout`:
-    so a reply that the adapter holds back is recognised as such, and is not taken for the reply to a later request.
+    which a line without a slow adapter has no more bytes. Until one reply was in time, `wait` is longer than `timeout`,
+    so that a reply that the adapter delays is recognised, and not taken for the reply to a later request.
     """
 
     def __init__(self, name: str, timeout: float, shortest: float = 0.0) -> None:
@@ -30,12 +30,12 @@ class Lateness:
 
     @property
     def wait(self) -> float:
-        """The s to wait for a reply."""
+        """The time, s, to wait for a reply."""
         return self._timeout if self._known else self._timeout + HELD
 
     def note(self, late: float) -> None:
-        """Note a reply that was `late`. As long as none was in time, raises NoReply for a late one, so that it is asked
-        for again, and DriverError with the remedy for the last of `ATTEMPTS`.
+        """Note that a reply was `late` s late. As long as no reply was in time, a late one raises NoReply, so that the
+        request is repeated; the last of `ATTEMPTS` late ones raises DriverError with the remedy.
         """
         if self._known:
             return
@@ -57,10 +57,10 @@ class Lateness:
 
 
 class Echo:
-    """Removes the sent bytes from the received ones, on a line that returns them.
+    """Removes the sent bytes from the received bytes, on a line that returns sent bytes.
 
-    The first request shows whether the line does: its reply differs from it. Later a reply may equal its request (a
-    ping of protocol 1.0 and its reply with error 1).
+    The first request, whose reply differs from it, shows whether the line returns sent bytes. Later a reply may equal
+    its request (a ping of protocol 1.0 and its reply with error 1).
     """
 
     def __init__(self) -> None:
@@ -69,11 +69,11 @@ class Echo:
 
     @property
     def due(self) -> int:
-        """The number of sent bytes that are still to return."""
+        """The number of sent bytes that the line has not returned yet."""
         return max(0, len(self._sent) - len(self._held)) if self._returns else 0
 
     def sent(self, data: bytes) -> None:
-        """Expect the return of `data`, after which the reply begins. b"": take every byte for a part of a reply."""
+        """Expect that the line returns `data` before the reply. b"": every byte is a part of a reply."""
         self._sent, self._held = (b"" if self._returns is False else data), b""
 
     def without(self, data: bytes) -> bytes:

@@ -69,8 +69,8 @@ def open_port(name: str, baudrate: int) -> serial.Serial:
 
 
 def hasten(port: object) -> None:
-    """Let the USB adapter of a serial port pass received bytes on at once, where the system can: FTDI's holds them back
-    for 16 ms as delivered.
+    """Set the USB adapter of a serial port to pass on received bytes at once, if the system can set that: an FTDI
+    adapter delays them by 16 ms as delivered.
     """
     with contextlib.suppress(ValueError, OSError, NotImplementedError, AttributeError):
         port.set_low_latency_mode(True)  # type: ignore[attr-defined]  # a pty and a bus without a port have none
