@@ -1,4 +1,4 @@
-"""The firmware of the simulated drive: a control loop at a fixed rate, with limits and faults of its own.
+"""The firmware of the simulated drive: a control loop at a fixed rate, its limits and its faults.
 
 The firmware runs at `drive.loop_rate`. In each period it accepts a new set-point, closes the position loop on the
 encoder's counts, and turns the torque off by itself if the velocity or the temperature is too high or no set-point
@@ -127,7 +127,7 @@ def _regulate(path: Path, memory: Vector) -> None:
 
 
 def _numbers(array: Vector) -> memoryview[float]:
-    """Return a view of an array from which one number is read in a third of the time."""
+    """Return a view of an array; reading one number from the view takes a third of the time."""
     return cast("memoryview[float]", array.data)
 
 

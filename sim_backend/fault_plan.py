@@ -89,8 +89,8 @@ class PlannedFault:
 
     at: s since the servo was opened or the drive was powered; NaN if not set. frame: number of the reply, from 1; 0 if
     not set. probability: probability that a reply has the fault; 0 if not set. duration: s from `at`; NaN: without end
-    for a lasting kind, else for `count` frames. size: see the kind; NaN: the kind's default. Raises ValueError for a
-    size that the kind does not allow.
+    for a lasting kind, else for `count` frames. size: in the unit of the kind; NaN: the kind's default. Raises
+    ValueError for a size that the kind does not allow.
     """
 
     kind: str

@@ -1,8 +1,8 @@
 """Integrate the plant's equations over time with a bounded error, and store the recent past.
 
 The method is Dormand and Prince's pair of orders 5 and 4 (J. Comput. Appl. Math. 6, 1980, table 2) with step-size
-control. The torque jumps where backlash or a slack tendon makes contact. The step-size control handles this without a
-special case: steps shrink until the error of the step that contains the jump is within the tolerance.
+control. The torque jumps where backlash or a slack tendon makes contact. The step-size control needs no special case
+for this: steps shrink until the error of the step that contains the jump is within the tolerance.
 """
 
 from __future__ import annotations

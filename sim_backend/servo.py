@@ -178,7 +178,9 @@ class SimServo:
         return reading, status
 
     def disarm(self) -> None:
-        """Switch the torque off. Raises as `Gate.disarm`; in that case the drive's watchdog switches the torque off."""
+        """Switch the torque off. Raises DriverError if the drive does not confirm it; then its watchdog switches the
+        torque off.
+        """
         self._gate.disarm()
 
     def close(self) -> None:

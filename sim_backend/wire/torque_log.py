@@ -1,7 +1,7 @@
 """Write a log of the torque of emulated drives: a CSV file of commanded and acting torque, which is complete even if
 the process is killed.
 
-The rows show in a safety test when the torque of a drive ended, whichever process was killed.
+In a safety test the rows show when the torque of a drive ended, whichever process was killed.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Watched(Protocol):
 
 
 class TorqueLog:
-    """A new CSV file at `path` with one line for each change: see `COLUMNS`. Every line is passed to the operating
-    system as soon as it is complete.
+    """A new CSV file at `path` with one line for each change, and the columns `COLUMNS`. Every line is passed to the
+    operating system as soon as it is complete.
 
     time_s: `time.monotonic()` of this computer, which is the same in other processes. commanded_Nm: the torque demanded
     of the current loop, 0 while disabled. acting_Nm: the torque that the current makes. Both torques are at the motor's

@@ -1,8 +1,8 @@
 """Damiao's emulated USB-CAN adapter on a pty, connected to an emulated bus.
 
-Source: the maker's sheet of the adapter's serial frames. What it leaves open: a frame's repetitions are `interval`
-times 0.1 ms apart; a handshake is answered with "OK"; a frame that was reported as sent is reported with its own
-content; any baud rate of the port will do, as with an adapter that has a USB controller of its own.
+Source: the maker's sheet of the adapter's serial frames. The sheet does not state the following, which is assumed here.
+Repetitions of a frame are `interval` times 0.1 ms apart. The reply to a handshake is "OK". The report of a sent frame
+holds the content of the frame. The adapter accepts any baud rate of the port, because its USB controller is built in.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _INTERVAL = 1e-4
 
 @dataclass
 class _Repeated:
-    """A frame that is sent `left` times more, the next time at `due`, s, with `interval` s between."""
+    """A frame that is sent `left` times more: the next time at `due`, s, and then every `interval` s."""
 
     frame: CanFrame
     left: int
@@ -41,7 +41,9 @@ class _Repeated:
 
 
 class DamiaoAdapter:
-    """The adapter, as received and sent bytes. bitrate: bit/s of the bus; None: the adapter's rate always fits."""
+    """The emulated adapter: it takes received bytes and returns sent bytes. bitrate: bit/s of the bus; None: any bit
+    rate that the client sets is right.
+    """
 
     def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:
         self._bus = bus
@@ -56,11 +58,13 @@ class DamiaoAdapter:
         return self._bus.unplugged
 
     def due(self) -> float:
-        """Return the time at which a frame next comes or goes without a request, s."""
+        """Return the time, s, at which the next frame is received or repeated without a request."""
         return min(self._bus.due(), min((one.due for one in self._repeated), default=math.inf))
 
     def receive(self, data: bytes, now: float, _baudrate: int | None = None) -> list[tuple[float, bytes]]:
-        """Process the client's `data`. Return what the adapter sends up to `now`, each with its time, s."""
+        """Process the client's `data`. Return the bytes that the adapter sends up to `now`, each piece with its time,
+        s.
+        """
         out = self._repeat(now) + self._texts(self._bus.advance(now))
         self._bytes += data
         while (begin := self._bytes.find(0x55)) >= 0 and len(self._bytes) >= begin + 3:
@@ -76,12 +80,12 @@ class DamiaoAdapter:
         return out
 
     def advance(self, now: float) -> None:
-        """Simulate the bus up to `now`. What its drives send without a request is lost."""
+        """Simulate the bus up to `now`. The frames that its drives send without a request are lost."""
         self._repeat(now)
         self._bus.advance(now)
 
     def _repeat(self, now: float) -> list[tuple[float, bytes]]:
-        """Send the frames whose repetition is due, and return what comes of it."""
+        """Send the frames whose repetition is due, and return the replies and reports that follow."""
         out: list[tuple[float, bytes]] = []
         for one in self._repeated:
             while one.left and one.due <= now:
@@ -91,7 +95,9 @@ class DamiaoAdapter:
         return out
 
     def _size(self) -> int:
-        """Return the length of the command that the bytes begin with, 1 for a byte that begins none."""
+        """Return the length of the command with which the received bytes begin; 1 if the first byte begins no
+        command.
+        """
         kind, third = self._bytes[1], self._bytes[2]
         return (_LONG if third == _LONG else _PORT_RATE) if kind == _END[0] else _SHORT.get(kind, 1)
 
@@ -133,7 +139,7 @@ class DamiaoAdapter:
         return self._texts(self._bus.receive(frame, now))
 
     def _texts(self, deliveries: list[CanDelivery]) -> list[tuple[float, bytes]]:
-        """Return received frames as bytes. Of error frames the adapter reports that it is bus-off, and no other."""
+        """Return received frames as bytes. The only error frame that the adapter reports is that it is bus-off."""
         report = _report(ERROR, form=1)
         shown = [(at, frame) for at, frame in deliveries if self._bus.off or not frame.error]
         return [(at, report if frame.error else _report(RECEIVED, frame)) for at, frame in shown]

@@ -17,7 +17,7 @@ FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 @dataclass(frozen=True, slots=True)
 class CanFrame:
-    """One frame. extended: whether the identifier has 29 bits. remote: whether it asks for data. fast: whether the
+    """One frame. extended: whether the identifier has 29 bits. remote: whether it requests data. fast: whether the
     second bit rate of CAN FD is used.
     """
 
@@ -42,8 +42,8 @@ def padded(data: bytes, filler: int = 0x50) -> bytes:
 
 
 def duration(frame: CanFrame, bitrate: float, data_bitrate: float) -> float:
-    """Return the s that a frame takes on the wire, with the largest possible number of stuff bits, up to the first bit
-    of the next frame.
+    """Return the time, s, that a frame takes on the wire, with the largest possible number of stuff bits, up to the
+    first bit of the next frame.
     """
     size = 0 if frame.remote else len(frame.data)
     if not frame.fd:

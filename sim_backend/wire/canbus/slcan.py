@@ -23,8 +23,8 @@ LONGEST = 160
 
 
 class SlcanAdapter:
-    """The adapter, as received text and replied text. bitrate: bit/s of the bus; None: the adapter accepts every bit
-    rate that the client sets.
+    """The emulated adapter: it takes received text and returns its replies. bitrate: bit/s of the bus; None: the
+    adapter accepts every bit rate that the client sets.
     """
 
     def __init__(self, bus: CanBus, *, bitrate: int | None = None) -> None:

@@ -227,7 +227,7 @@ class Cia402Device:
         return round(self.objects.get(0x3001, 1) * self.objects.get(0x3001, 5) * 1e-3)
 
     def _speed_unit(self) -> float:
-        """Return the rad/s in one count of velocity."""
+        """Return the velocity in one count, rad/s."""
         prefix = 0
         if (0x60A9, 0) in self.objects.entries:
             prefix = self.objects.get(0x60A9) >> 24

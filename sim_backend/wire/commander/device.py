@@ -54,8 +54,8 @@ def number(text: str) -> float:
 class CommanderDevice:
     """The emulated board after its start, with the plant of `parameters` at its motor.
 
-    letter: the letter under which its program added the motor. version: version of the library. joint: record of the
-    torque at the joint.
+    letter: the letter under which its program added the motor. version: version of the library. joint: the record of
+    the torque at the joint.
     """
 
     def __init__(self, parameters: SimParameters, letter: str = "M", version: tuple[int, int] = (2, 4)) -> None:

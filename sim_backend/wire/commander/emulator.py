@@ -173,7 +173,7 @@ class CommanderBoard:
 
     @property
     def _loop(self) -> float:
-        """The s that one loop of the board's program takes; each loop calls `motor.monitor()` once."""
+        """The time, s, of one loop of the board's program; each loop calls `motor.monitor()` once."""
         return (self._timing or CommanderTiming()).loop
 
     def _obey(self, end: str, at: float) -> str:

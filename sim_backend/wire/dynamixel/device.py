@@ -99,7 +99,7 @@ class DynamixelDevice:
 
     @property
     def _newest(self) -> bool:
-        """Return whether the servo has the firmware that brought backups and fast reads; no MX has."""
+        """Return whether the servo's firmware has backups and fast reads; no MX servo has such firmware."""
         return self.registers.has("backup_ready") and self._firmware >= self.model.firmware
 
     @property

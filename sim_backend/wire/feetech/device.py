@@ -1,18 +1,19 @@
 """An emulated Feetech servo: its memory, the effect of each instruction, and the replies.
 
 Sources: the vendor's protocol manual and memory tables (ftservo/ftservo-wiki, docs/reference: protocol/ft-scs.md,
-parameter/memory-sts.md, memory-hls.md, memory-scscl.md). Two things owners measured. A write of Goal Position(42)
-switches the torque on (beam-bots/bb_servo_feetech; jakegibs617/robotic-arm-paint saw none for a goal that equals the
-present position), and in speed mode a write of the speed does (a LeKiwi base), even of 0. Position Offset(31) is
-subtracted from the encoder's position (huggingface/lerobot, motors/feetech), and the calibration instruction stores it
-without unlocking (orcahand/orca_core).
+parameter/memory-sts.md, memory-hls.md, memory-scscl.md). Owners of servos measured the following. A write of Goal
+Position(42) switches the torque on (beam-bots/bb_servo_feetech; jakegibs617/robotic-arm-paint saw none for a goal that
+equals the present position), and in speed mode a write of the speed does (a LeKiwi base), even of 0. Position
+Offset(31) is subtracted from the encoder's position (huggingface/lerobot, motors/feetech), and the calibration
+instruction stores it without unlocking (orcahand/orca_core).
 
-The following is not in these sources and is assumed here. An instruction that the servo does not have gets no reply: no
-bit of the status could tell it. A write of a value out of range, or to a read-only address, is confirmed but ignored. A
-read may span addresses without an item, which read as zero. A request with a wrong checksum gets no reply. An error
-that is selected in Unloading Condition(19) switches the output off until the error has ended and Torque Enable(40) is
-written again; an overload only reduces the output to Protective Torque. A write to the EEPROM while the lock is 1 takes
-effect but is lost without power; so does a restored backup. Gains, dead zones, acceleration and the LED have no effect.
+The following is not in these sources and is assumed here. An instruction that the servo does not have gets no reply,
+because no bit of the status means this. A write of a value out of range, or to a read-only address, is confirmed but
+ignored. A read may span addresses without an item, which read as zero. A request with a wrong checksum gets no reply.
+An error that is selected in Unloading Condition(19) switches the output off until the error has ended and Torque
+Enable(40) is written again; an overload only reduces the output to Protective Torque. A write to the EEPROM while the
+lock is 1 takes effect but is lost without power; so does a restored backup. Gains, dead zones, acceleration and the LED
+have no effect.
 """
 
 from __future__ import annotations
@@ -251,7 +252,9 @@ class FeetechDevice:
         return True
 
     def _restore(self) -> None:
-        """Set the EEPROM to the backup, which is that of the factory before the first one, except for the id."""
+        """Set the EEPROM, except for the id, to the latest backup; before the first backup, to the values as
+        delivered.
+        """
         kept = self.get("id")
         self.registers.memory[:EEPROM_END] = self._backup
         self.put("id", kept)
@@ -260,7 +263,9 @@ class FeetechDevice:
         self._hand_over_goals()
 
     def _calibrate(self, parameters: bytes) -> bool:
-        """Make the present position the one given in two bytes, or the middle. Return whether this firmware can."""
+        """Set the present position to the one given in two bytes, or to the middle. Return whether this firmware
+        supports it.
+        """
         oldest = self.model.calibrates[bool(parameters)] if self.model.calibrates else (256, 0)
         if (self.get("firmware_major"), self.get("firmware_minor")) < oldest or len(parameters) not in {0, 2}:
             return False
@@ -268,8 +273,8 @@ class FeetechDevice:
         return True
 
     def _reads(self, position: int) -> None:
-        """Make the present position `position`: Position Offset(31) becomes what that needs, within half a turn, and
-        whole turns are forgotten. The servo stays where it is.
+        """Let the servo read `position` where it stands: change Position Offset(31) by at most half a turn, and forget
+        whole turns. The servo does not move.
         """
         offset = self.get("position_offset") + self._counts() - position
         within = (offset + _TURN // 2) % _TURN - _TURN // 2
@@ -346,7 +351,7 @@ class FeetechDevice:
         return turn + max(low, min(high, goal))
 
     def _speed_unit(self) -> float:
-        """The rad/s in one count of speed."""
+        """The speed in one count, rad/s."""
         single = self.model.big or (not self.registers.has("goal_torque") and self.get("phase") & _SINGLE_STEPS)
         return self.model.count * (1 if single else 50)
 

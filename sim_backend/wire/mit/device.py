@@ -1,11 +1,12 @@
 """An emulated CubeMars AK or Damiao motor on a CAN bus, which uses the frames of the MIT mini-cheetah. The plant is
 attached to its output.
 
-Sources: as in `mit.tables`; Damiao's manual for POS_VEL, VEL and FORCE_POS, where the current limit is taken as a share
-of the torque range. As in the mini-cheetah's firmware, the motor replies with its state to every frame for its id;
-values are truncated to counts, so no count means exactly zero. The following is not in the manuals and is assumed here.
-An AK replies with its own id. A Damiao that lost communication is disabled until the command FB clears the error. An
-AK's error stays until the motor is switched off. A boot takes 0.2 s, and an AK then no longer knows its rotor's turns.
+Sources: those of `mit.tables`, and Damiao's manual for the modes POS_VEL, VEL and FORCE_POS; their current limit is
+interpreted as a fraction of the torque range. As in the mini-cheetah's firmware, the motor replies with its state to
+every frame for its id; values are truncated to counts, so no count means exactly zero. The following is not in the
+manuals and is assumed here. An AK replies with its own id. A Damiao that lost communication is disabled until the
+command FB clears the error. An AK's error stays until the motor is switched off. A boot takes 0.2 s, and an AK then no
+longer knows its rotor's turns.
 """
 
 from __future__ import annotations

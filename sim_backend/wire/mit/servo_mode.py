@@ -1,8 +1,8 @@
-"""Servo mode of a CubeMars AK, in which it commands and reports in frames with identifiers of 29 bits. No I/O.
+"""Servo mode of a CubeMars AK: its commands and reports are frames with identifiers of 29 bits. No I/O.
 
-Source: CubeMars AK Series Driver Manual, section "Servo mode". What it leaves open: a duty is that share of the speed
-range; a brake's current is reached at the speed range; the motor has 21 pole pairs; limits of acceleration have no
-effect.
+Source: CubeMars AK Series Driver Manual, section "Servo mode". The manual does not state the following, which is
+assumed here. A duty is a fraction of the speed range. A brake reaches its current at the end of the speed range. The
+motor has 21 pole pairs. Limits of acceleration have no effect.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _POSITION_GAIN = 50.0
 
 
 def law(kind: int, data: bytes, model: MitModel, zero: float, damping: float) -> Impedance | None:
-    """Return what a command demands, None for one that is too short or unknown. zero: rad, of the angle. damping: N m
-    s/rad of the speed loop.
+    """Return the demand law of a command; None if the command is too short or unknown. zero: the motor's angle at zero,
+    rad. damping: of the speed loop, N m s/rad.
     """
     _, fastest, most = model.span
     if len(data) < (8 if kind == POSITION_SPEED else 4) or kind not in set(range(7)) - {ORIGIN}:
@@ -46,8 +46,8 @@ def law(kind: int, data: bytes, model: MitModel, zero: float, damping: float) ->
 
 
 def report(ident: int, motor: CanMotor, model: MitModel, zero: float, error: int) -> CanFrame:
-    """Return the cyclic report: angle in 0.1 deg, speed in 10 electrical turns a minute, current in 10 mA, degC, and
-    error.
+    """Return the cyclic report: angle in 0.1 deg, speed in 10 electrical turns a minute, current in 10 mA, temperature
+    in degC, and error code.
     """
     angle = _short(math.degrees(motor.position - zero) * 10.0)
     speed = _short(motor.velocity / _rate(10, model))
@@ -57,7 +57,7 @@ def report(ident: int, motor: CanMotor, model: MitModel, zero: float, error: int
 
 
 def _rate(electrical: int, model: MitModel) -> float:
-    """Return the speed of the output, rad/s, at so many electrical turns a minute."""
+    """Return the speed of the output, rad/s, at `electrical` electrical turns a minute."""
     return electrical / _POLE_PAIRS / model.gear * math.tau / 60.0
 
 

@@ -12,8 +12,8 @@ from drivers.tables import table
 
 @dataclass(frozen=True, slots=True)
 class MitModel:
-    """A CubeMars or Damiao model. span: full scale of the counts: position rad, velocity rad/s, torque N m; see
-    table.toml.
+    """A CubeMars or Damiao model. span: full scale of the counts: position rad, velocity rad/s, torque N m. table.toml
+    explains the other fields.
     """
 
     damiao: bool

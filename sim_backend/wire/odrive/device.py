@@ -148,7 +148,7 @@ class OdriveDevice:
         return self.layout == "0.6" and self.ident == BROADCAST
 
     def _period(self, kind: str) -> float:
-        """Return the s between two cyclic messages of a kind; infinity if this message is switched off."""
+        """Return the time between two cyclic messages of a kind, s; infinity if the message is switched off."""
         milliseconds = self.endpoints.get(f"axis0.config.can.{kind}_msg_rate_ms")
         return milliseconds * 1e-3 if milliseconds else math.inf
 
@@ -330,7 +330,7 @@ class OdriveDevice:
             self._offset = self.motor.position - turns * TURN
 
     def _request_state(self, state: int) -> None:
-        """End what runs and begin `state`; 0 requests nothing."""
+        """End the present procedure and begin `state`; 0 requests nothing."""
         if state == 0 or (state == IDLE and self.ignores_idle):
             return
         old = self.layout == "0.5"

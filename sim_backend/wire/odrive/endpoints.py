@@ -1,8 +1,8 @@
-"""The parameters (endpoints) of an emulated ODrive with firmware 0.6, and the file that tells clients the endpoint
+"""The parameters (endpoints) of an emulated ODrive with firmware 0.6, and the file from which clients read the endpoint
 numbers.
 
 The vendor publishes a flat_endpoints.json with each firmware. The names here are the vendor's; the numbers are this
-emulator's own. A client that does not take the numbers from the file would be wrong on a real drive too.
+emulator's own. A client that does not read the numbers from the file would fail on a real drive too.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""The states that a client may request of an emulated ODrive axis, and how long the procedures among them take.
+"""The states that a client may request of an emulated ODrive axis, and the durations of the procedures among these
+states.
 
 Source: the 0.5.6 firmware's axis.cpp (run_state_machine_loop), motor.cpp (run_calibration: 3 s and 1.25 s) and
-encoder.cpp (run_offset_calibration: 1 s, then 16 pi rad at 4 pi rad/s to and fro). A request ends whatever runs. A
-state that the axis cannot enter leaves it idle. The emulated axis has an encoder without index and no end stop. That
-firmware 0.6 does the same is assumed; it tells the outcome in Procedure_Result.
+encoder.cpp (run_offset_calibration: 1 s, then 16 pi rad at 4 pi rad/s to and fro). A request ends the present
+procedure. A request for a state that the axis cannot enter leaves it idle. The emulated axis has an encoder without
+index and no end stop. Firmware 0.6 is assumed to do the same; it reports the outcome in Procedure_Result.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ SUCCESS, BUSY, CANCELLED, DISARMED, NO_ENDSTOP, INVALID_STATE, NOT_CALIBRATED = 
 
 
 class Procedures:
-    """What an axis runs after a request for a state. result: the value of Procedure_Result."""
+    """The procedures that an axis runs after a request for a state. result: the value of Procedure_Result."""
 
     def __init__(self) -> None:
         self.result = SUCCESS
@@ -30,7 +31,7 @@ class Procedures:
         return self._steps[0] if self._steps else IDLE
 
     def begin(self, state: int, now: float, *, calibrated: bool) -> None:
-        """End what runs, and begin what `state` stands for at `now`, s."""
+        """End the present procedure, and begin the procedures of `state` at `now`, s."""
         running, self._steps = bool(self._steps), []
         if state in {IDLE, CLOSED_LOOP, _STARTUP}:  # no startup procedure is configured
             self.result = CANCELLED if running and state == IDLE else SUCCESS

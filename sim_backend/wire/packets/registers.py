@@ -11,7 +11,7 @@ from typing import Any, Literal
 class Item:
     """An item of a control table.
 
-    low, high: the range of values that may be written. sign_bit: the bit that means negative, amid the bits of the
+    low, high: the range of values that may be written. sign_bit: the bit that means negative, among the bits of the
     magnitude; 0: two's complement if `low` is negative, else unsigned. writable: whether it may be written.
     """
 

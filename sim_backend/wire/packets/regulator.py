@@ -1,9 +1,8 @@
 """The demand law of an emulated servo in each operating mode, and the joint at its horn.
 
-The control loops are not the vendors', whose gains have units of their own. The goal current becomes the current
-directly. Position and velocity are controlled with gains that follow from the inertia and the bandwidth `BANDWIDTH`. In
-PWM mode the stall torque is right, kt V/R, but the no-load speed is not, because the inertia is not that of a real
-gearbox.
+The control loops are not the vendors', whose gains have other units. The goal current becomes the current directly.
+Position and velocity are controlled with gains that follow from the inertia and the bandwidth `BANDWIDTH`. In PWM mode
+the stall torque is right, kt V/R, but the no-load speed is not, because the inertia is not that of a real gearbox.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ def servos(
 
 
 def follow_all(plan: FaultPlan | None, bus: PacketBus) -> None:
-    """Add the faults of `plan` to a line and its servos; the plan's times count from now. Raises ValueError as
-    `follow`.
+    """Add the faults of `plan` to a line and its servos; the plan's times count from now. Raises ValueError for a kind
+    of fault that the line or its servos cannot have.
     """
     if plan is not None:
         follow(plan, bus.faults, [device.motor for device in bus.devices], time.monotonic(), can=False)

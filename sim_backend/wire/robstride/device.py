@@ -1,13 +1,13 @@
-"""One RobStride motor on a CAN bus, with the plant at its output.
+"""An emulated RobStride motor on a CAN bus. The plant is attached to its output.
 
-Sources: as in `robstride.tables`, and what was measured on real motors in the pull requests of lerobot (4070) and
-motorbridge (10, 20): the version's reply, a report of type 24, the refusal of a read, and that limit_torque does not
-bind in operation mode. Values are cut off to counts, so that zero is nowhere. What these leave open: a motor answers an
-operation frame to the host that it heard last; a fault frame goes there once, when the fault comes; it cannot run
-until the fault is cleared. Enabling begins without a set-point, in both position modes at the present angle. The ramps
-acc_rad, acc_set and dcc_set, the integral of the speed loop, and what tunes the current loop have no effect. A zero is
-kept without power. MIT frames are those of the manual of the RS00 of 2026-01-12, section 5; of CANopen there is what
-distinguishes it, and the way back.
+Sources: that of `robstride.tables`; the manual of the RS00 of 2026-01-12, section 5, for MIT frames; and measurements
+on real motors in the pull requests of lerobot (4070) and motorbridge (10, 20): the reply with the version, the report
+of type 24, the refusal of a read, and that limit_torque has no effect in operation mode. Values are truncated to
+counts, so no count means exactly zero. These sources do not state the following, which is assumed here. A motor answers
+an operation frame to the host that it heard last. It sends a fault frame to this host once, when the fault occurs, and
+cannot run until the fault is cleared. It is enabled without a set-point; in both position modes it holds the present
+angle. It keeps its zero without power. The ramps acc_rad, acc_set and dcc_set, the integral of the speed loop, and the
+settings of the current loop have no effect. Of CANopen only the device type and the change to another protocol exist.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ _WORDS = struct.Struct(">HHHH")
 
 
 class RobstrideDevice:
-    """A motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
+    """An emulated motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
-    firmware: four numbers; None: the table's. serial: 64 bits. protocol: spoken from the start. values: of the
-    parameters by name. refused: parameters whose writes are answered and not done. ignores_stop: a stop is answered and
-    not done. Raises KeyError for a model that is not in the table.
+    firmware: four numbers; None: the table's. serial: serial number, 64 bits. protocol: the protocol at the start.
+    values: the parameters' values by name. refused: parameters whose writes get a reply but have no effect.
+    ignores_stop: whether a stop gets a reply but has no effect. Raises KeyError for a model that is not in the table.
     """
 
     def __init__(
@@ -88,12 +88,12 @@ class RobstrideDevice:
 
     @property
     def angle(self) -> float:
-        """mechPos, rad."""
+        """The parameter mechPos: the angle from the motor's zero, rad."""
         return self.motor.position - self._zero
 
     @property
     def watchdog_state(self) -> WatchdogState:
-        """The state of canTimeout."""
+        """The state of the motor's watchdog, canTimeout."""
         if self._tripped:
             return "tripped"
         return "on" if self.motor.enabled and self.values["canTimeout"] else "off"
@@ -115,7 +115,7 @@ class RobstrideDevice:
         return out
 
     def advance(self, now: float) -> None:
-        """Carry the motor to `now` and look for faults."""
+        """Simulate the motor up to `now` and check for faults."""
         timeout = self.values["canTimeout"] * TIMEOUT_LSB
         if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
             self.motor.run(self._heard + timeout - self._powered)
@@ -126,13 +126,13 @@ class RobstrideDevice:
             self.fail(OVERHEAT)
 
     def fail(self, fault: int) -> None:
-        """Latch a fault (bits of a fault frame); no current from now on."""
+        """Latch the fault `fault` (bits of a fault frame) and switch the torque off."""
         self.faults |= fault
         self.motor.disable()
         self._fault_due = self._powered + self.motor.time if self.protocol == PRIVATE else math.inf
 
     def reboot(self, now: float) -> None:
-        """Lose what was not stored, the torque first, and be silent for a while."""
+        """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
         self.motor.disable()
         self.faults, self._tripped, self._host = 0, False, 0xFD
         self.values = dict(self._saved)
@@ -181,7 +181,9 @@ class RobstrideDevice:
         return [self._feedback(24 if kind == 24 else 2)] if kind in {3, 4, 6, 18, 22, 24} else []
 
     def _impede(self, shares: list[float]) -> None:
-        """Follow torque, angle, velocity and both gains, each as a share of its range, where the motor runs."""
+        """Follow set-points of torque, angle, velocity and both gains, each as a fraction of its range, if the motor is
+        enabled.
+        """
         velocity, torque, kp, kd = self.model.span
         torques, angle, speed = (
             (2.0 * share - 1.0) * most for share, most in zip(shares, (torque, self.most_angle, velocity), strict=False)
@@ -190,7 +192,9 @@ class RobstrideDevice:
         self.motor.follow(law if self.motor.enabled else Impedance())
 
     def _act(self, kind: int, data: bytes) -> None:
-        """Run (3), stop and clear the faults (4), or take the present angle as zero (6)."""
+        """Execute a frame of type `kind`: enable (3), stop and clear the faults (4), or set the zero to the present
+        angle (6).
+        """
         if kind == 3 and not self.faults:
             self.motor.enable()
             self.values |= {"iq_ref": 0.0, "spd_ref": 0.0, "loc_ref": self.angle}
@@ -205,7 +209,9 @@ class RobstrideDevice:
             self._follow()
 
     def _store(self, kind: int, choice: int) -> None:
-        """Save (22), choose the bit rate (23) or the protocol (25) of the next start, or report unasked (24)."""
+        """Execute a frame of type `kind`: save (22), set the bit rate (23) or protocol (25) of the next start, or
+        report cyclically (24).
+        """
         if kind == 22 and choice == 7:
             self._saved |= {name: value for name, value in self.values.items() if name not in _SETPOINTS}
         elif kind == 23 and 1 <= choice <= 4:
@@ -238,7 +244,7 @@ class RobstrideDevice:
                 self._follow()
 
     def _follow(self) -> None:
-        """Follow the set-points of the present run_mode; operation begins at rest."""
+        """Follow the set-points of the present run_mode; operation mode begins without torque."""
         values, mode, constant = self.values, self.values["run_mode"], self.model.torque_constant
         damping = SPEED_GAIN * self.model.scale * max(1e-3, values["spd_kp"]) / _DELIVERED_SPEED_GAIN
         ceiling = min(values["limit_torque"], values["limit_cur"] * constant)
@@ -259,14 +265,14 @@ class RobstrideDevice:
 
     @property
     def _status(self) -> int:
-        """The field of a feedback."""
+        """The field of a feedback: mode, fault bits and id."""
         bits = 0
         for fault, bit in _FEEDBACK_BITS.items():
             bits |= bit if self.faults & fault else 0
         return (2 if self.motor.enabled else 0) << 14 | bits << 8 | self.ident
 
     def _state(self, bits: int) -> tuple[int, int, int, int]:
-        """Angle, velocity and torque in counts, the last two of `bits`, and the temperature in 0.1 degC."""
+        """Return angle (16 bits), velocity and torque (`bits` bits) in counts, and the temperature in 0.1 degC."""
         most, (velocity, torque, *_) = self.most_angle, self.model.span
         angle = (self.angle + most) % (2.0 * most) - most if self._wraps else self.angle
         rate, effort = _counts(self.motor.velocity, velocity, bits), _counts(self.motor.torque, torque, bits)
@@ -279,7 +285,9 @@ class RobstrideDevice:
         return CanFrame(kind << 24 | field << 8 | self._host, data, extended=True)
 
     def _mit(self, mode: int, data: bytes) -> CanFrame:
-        """Answer a frame of 11 bits: FF six times, a choice and a command, or set-points of a mode."""
+        """Return the reply to an MIT frame. Its data is six bytes FF, a choice and a command, or set-points of
+        `mode`.
+        """
         choice, command = data[6:]
         if mode:
             self._set_points(mode, data)
@@ -304,7 +312,7 @@ class RobstrideDevice:
         return CanFrame(self._mit_host, body + warmth.to_bytes(2, "big"))
 
     def _choose(self, choice: int, command: int) -> None:
-        """Take another id (FA), another protocol at the next start (FD), or another id of the host."""
+        """Set the motor's id (FA), the protocol at the next start (FD), or the host's id."""
         if command == 0xFA and 1 <= choice <= 127:
             self.ident = choice
         elif command == 0xFD and choice <= MIT:
@@ -313,14 +321,16 @@ class RobstrideDevice:
             self._mit_host = command
 
     def _set_points(self, mode: int, data: bytes) -> None:
-        """Take angle rad and highest speed rad/s (1), or speed rad/s and highest current A (2), in their mode."""
+        """Set the set-points of `mode`: angle, rad, and highest speed, rad/s (1), or speed, rad/s, and highest current,
+        A (2).
+        """
         names = {1: ("limit_spd", "loc_ref"), 2: ("limit_cur", "spd_ref")}.get(mode, ())
         if self.values["run_mode"] == _MIT_MODES.get(mode):
             for name, value in zip(names, reversed(struct.unpack("<ff", data)), strict=False):
                 self._put(self._named[name], value)
 
     def _canopen(self, frame: CanFrame, data: bytes) -> list[CanFrame]:
-        """Answer the request for the device type, and the way back to another protocol."""
+        """Return the reply to a request for the CANopen device type, or to a change of the protocol."""
         if frame.extended and frame.ident == 0xFFF and data[:6] == _KEY:
             self._store(25, data[6])
             return [CanFrame(self.ident, self._serial)]

@@ -1,4 +1,4 @@
-"""RobStride motors and their parameters, from table.toml, which names its source."""
+"""The emulated RobStride motors and their parameters. They are read from table.toml, which names its source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TABLE = table("robstride", "sim_backend.wire")
 
 @dataclass(frozen=True, slots=True)
 class RobstrideModel:
-    """A motor. span: velocity rad/s, torque N m, N m/rad, N m s/rad that fill the counts; see table.toml."""
+    """A RobStride model. span: full scale of the counts: velocity rad/s, torque N m, kp N m/rad, kd N m s/rad."""
 
     firmware: tuple[int, ...]
     span: tuple[float, float, float, float]
@@ -26,7 +26,7 @@ class RobstrideModel:
 
     @property
     def torque_constant(self) -> float:
-        """N m per A of the peak of the phase current, in which the motor counts currents."""
+        """The torque constant, N m per A of peak phase current, the motor's unit of current."""
         return self.rms_constant / math.sqrt(2.0)
 
 
@@ -36,7 +36,7 @@ MODELS = {name: RobstrideModel(tuple(row[0]), tuple(row[1]), *row[2:]) for name,
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A parameter. bounds: the lowest and highest value that a write must keep to; (): it cannot be written."""
+    """A parameter. bounds: the lowest and the highest value that may be written; (): the parameter is read-only."""
 
     name: str
     layout: struct.Struct
@@ -45,7 +45,7 @@ class Item:
 
 
 def items(model: RobstrideModel) -> dict[int, Item]:
-    """The parameters of a motor by their index."""
+    """Return the parameters of a motor by index."""
     known: dict[Any, float] = {"velocity": model.span[0], "torque": model.span[1], "current": model.current}
     known |= {f"-{name}": -value for name, value in known.items()} | {"measured": 0.0}
     rows = {}
