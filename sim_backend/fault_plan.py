@@ -32,7 +32,7 @@ class Kind(NamedTuple):
         if math.isnan(size):
             return
         if not self.size:
-            raise ValueError(f"size {size:g}: this kind has none; leave it out")
+            raise ValueError(f"size {size:g}: this kind of fault has no size; leave it out")
         if not self.lowest <= size <= self.highest or (self.whole and not float(size).is_integer()):
             number = "a whole number" if self.whole else "a number"
             raise ValueError(f"size {size:g}: give {number} from {self.lowest:g} to {self.highest:g} ({self.size})")

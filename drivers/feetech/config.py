@@ -76,7 +76,7 @@ class FeetechConfig:
         mode: Mode = "torque" if quantity is Quantity.TORQUE else "position"
         if mode == "torque" and not models()[self.model].has_torque_mode:
             raise ValueError(
-                f"the {self.model} cannot be commanded a torque, only a position: {_CELL}; an HLS has a torque mode"
+                f"the {self.model} accepts no torque as set-point, only a position: {_CELL}; an HLS has a torque mode"
             )
         if self.mode not in {None, mode}:
             raise ValueError(f"feetech.mode = {self.mode!r} does not command {quantity}: remove it")

@@ -42,7 +42,7 @@ class Search:
         self, bounds: Bounds, settings: Settings = PRESETS["default"], *, seed: int = 0, floor: float = 1e-300
     ) -> None:
         if settings.scheme != "generational":
-            raise ValueError(f'scheme "{settings.scheme}": only "generational" settings ask for children to evaluate')
+            raise ValueError(f'scheme "{settings.scheme}": only the scheme "generational" is possible here')
         p = bounds.low.size
         self._settings = settings
         self._rules = rules_of(bounds, settings, floor, reject=False)
@@ -74,7 +74,7 @@ class Search:
         if the number of fitness values differs from the number of chromosomes.
         """
         if self._asked is None or not np.array_equal(genes, self._asked):
-            raise ValueError("these are not the chromosomes that were asked for: tell what the last ask() gave")
+            raise ValueError("these are not the chromosomes that were asked for: give those of the last ask()")
         errors = np.array(fitness, dtype=np.float64)
         if errors.shape != (len(self._asked),):
             raise ValueError(f"fitness of shape {errors.shape} for {len(self._asked)} chromosomes: give one each")

@@ -352,5 +352,5 @@ def parse(name: str) -> CouplingModel:
     model = CouplingModel(canonical(name))
     for term in (term for term in model.terms if term.smooths and lacking(term.name, model.name.split("+"))):
         rubbing = f"{term.needs}, {' or '.join(term.or_needs)}"
-        raise ValueError(f'model "{name}": {term.name} says how friction turns, and there is none: add {rubbing}')
+        raise ValueError(f'model "{name}": {term.name} changes a friction, and the model has none: add {rubbing}')
     return model

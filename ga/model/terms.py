@@ -76,7 +76,7 @@ def add(term: Term) -> None:
     names = {parameter.name for parameter in term.parameters}
     if term.name in TERMS or names.intersection(PARAMETERS):
         raise ValueError(
-            f"there is a term or a parameter of the name {term.name} or {', '.join(sorted(names))} already"
+            f"a term or a parameter with the name {term.name} or {', '.join(sorted(names))} exists already"
         )
     _terms[term.name] = named
     _parameters.update({parameter.name: parameter for parameter in term.parameters})

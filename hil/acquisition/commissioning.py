@@ -213,8 +213,8 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
         )
     halved = Diagnostic(
         "not-commissioned",
-        f"it was not tested within {DAYS:.0f} days whether this drive stops when hil stops: the torque limit is "
-        f"{half:g} N m now, half of the stand's; {remedy}",
+        f"nobody tested in the last {DAYS:.0f} days whether this drive stops when hil stops: the torque limit is now "
+        f"{half:g} N m, half of the stand's; {remedy}",
     )
     return with_torque_limit(stand, half), [halved]
 
@@ -226,10 +226,10 @@ def require_release(stand: Stand, info: ServoInfo, mode: Quantity) -> None:
     if stand.stand.torque_stays_on_if_host_dies or not _kept_torque(stand, info, mode):
         return
     raise WrongUse(
-        "this drive kept its torque when no command arrived (hil doctor --commission), or what was stored about that "
-        "cannot be read. If this computer stops, the motor pulls until its power is cut. Nothing was driven: correct "
-        "its watchdog and commission it again, which alone ends this; or accept it with torque_stays_on_if_host_dies = "
-        "true in [stand], and keep a switch for its power at hand"
+        "this drive kept its torque when no command arrived (hil doctor --commission), or the stored result of this "
+        "test cannot be read. If this computer stops, the motor pulls until its power is cut. Nothing was driven: "
+        "correct its watchdog and repeat the commissioning; or accept this with torque_stays_on_if_host_dies = true in "
+        "[stand], and keep a switch for its power at hand"
     )
 
 

@@ -56,8 +56,8 @@ class StoredFacts:
         except (OSError, WrongUse) as error:
             reason = getattr(error.__cause__ or error, "strerror", None) or str(error)
             raise WrongUse(
-                f"{self.path} cannot be written ({reason}): it keeps what the next run must know of this drive; make "
-                "room, or set XDG_STATE_HOME to a folder that can be written"
+                f"{self.path} cannot be written ({reason}): it stores facts about this drive that the next run needs; "
+                "make room, or set XDG_STATE_HOME to a folder that can be written"
             ) from None
 
 
@@ -77,7 +77,7 @@ def _state_folder() -> Path:
         folder = asked
     if not folder.is_absolute():
         raise WrongUse(
-            "this user has no home folder to keep what the next run must know of this drive: set XDG_STATE_HOME to a "
-            "folder that can be written"
+            "this user has no home folder, in which hil stores the facts about this drive that the next run needs: set "
+            "XDG_STATE_HOME to a folder that can be written"
         )
     return folder

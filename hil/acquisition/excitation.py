@@ -192,7 +192,7 @@ def _multisine(band: tuple[float, float], duration: float, seed: int) -> Shape:
     period = min(duration, _LINES_PERIOD)
     lines = np.arange(max(1, math.ceil(band[0] * period)), math.floor(band[1] * period) + 1)
     if lines.size == 0:
-        raise WrongUse(f"no line of a {period:g} s multisine lies in {band[0]:g}:{band[1]:g} Hz: widen --band")
+        raise WrongUse(f"no frequency of a {period:g} s multisine lies in {band[0]:g}:{band[1]:g} Hz: widen --band")
     order = np.arange(1, lines.size + 1)
     phases = -np.pi * order * (order - 1) / lines.size
     omega = 2.0 * np.pi * lines / period

@@ -66,7 +66,7 @@ class HeatMemory:
                 raise ValueError("it has impossible numbers")
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, WrongUse) as error:
             raise WrongUse(
-                f"{self._memory.path} is not the temperature of a winding ({error}): remove it once the motor is cold"
+                f"{self._memory.path} holds no temperature of a winding ({error}): remove it once the motor is cold"
             ) from None
         return model.after(state, 0.0, max(0.0, rested))
 

@@ -91,7 +91,7 @@ def open_table(
         )
     kind = formats.kind_of(source)
     if joint is not None or (topic is not None and kind != formats.WORKBOOK):
-        raise WrongUse(f"{source} is no bag and has no topics or joints: name its columns")
+        raise WrongUse(f"{source} is no bag and has no topics or joints: leave out --topic and --joint")
     if kind not in {formats.TEXT, formats.WORKBOOK}:
         titles, read = formats.columns(source, kind)
         return Table(source, titles, partial(_read, source, titles, read))

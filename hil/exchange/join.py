@@ -115,7 +115,7 @@ def _change(one: Part, two: Part) -> tuple[float, str]:
     if not shift.error < TICK_SHARE * step:
         raise WrongUse(
             f"{both} cannot be compared well enough: the shift has a standard error of {1e3 * shift.error:.2g} ms, "
-            f"and Bc one of Kc times that: move at several speeds and longer, or {how}"
+            f"and Bc an error of Kc times that: move at several speeds and longer, or {how}"
         )
     change = shift.seconds if load[0] is two else -shift.seconds
     return change, (

@@ -165,7 +165,7 @@ def _joint(stand: Stand, plant: SimParameters | None, kc: float | None, bc: floa
         raise WrongUse("give --kc (N m/rad) and --bc (N m s/rad), however rough; a first recording gives them")
     for name, value, unit in (("kc", kc, "N m/rad"), ("bc", bc, "N m s/rad")):
         if not (math.isfinite(value) and value > 0.0):
-            raise WrongUse(f"--{name} {value:g}: a coupling has more than zero {unit}; give a rough value")
+            raise WrongUse(f"--{name} {value:g}: it must be above 0 {unit}; give a rough value")
     ratio = stand.stand.gear_ratio
     inertia, friction = stand.stand.motor_inertia, stand.stand.motor_damping
     if plant is not None:

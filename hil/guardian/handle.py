@@ -190,5 +190,5 @@ def _hex(packets: tuple[bytes, ...]) -> list[str]:
 def _not_started(reason: str) -> DriverError:
     return DriverError(
         f"the guardian cannot be started ({reason}): nothing was driven. It would switch the torque off if hil were "
-        "killed or frozen; hil record --no-guardian goes without it"
+        "killed or frozen; hil record --no-guardian records without it"
     )

@@ -51,8 +51,8 @@ class Torsion:
         stroke = self.seconds / max(1, len(reversals(self.guide)) - 1)
         if stroke < _SLOW:
             raise Untrustworthy(
-                f"{self.name} is not slow: a stroke takes {stroke:.2g} s on average, so damping is in its torque, and "
-                f"its slope is not the stiffness. Find Kc and Bc with hil identify, or take {_SLOW:g} s a stroke"
+                f"{self.name} is not slow: a stroke takes {stroke:.2g} s on average, so its torque includes damping, "
+                f"and its slope is not the stiffness. Use hil identify, or take {_SLOW:g} s or more for each stroke"
             )
 
 

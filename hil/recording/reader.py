@@ -149,8 +149,8 @@ class Recording:
         """
         if in_child(self._has_outline, processor=_TRIAL_TIME, memory=_TRIAL_MEMORY) is None:
             raise WrongUse(
-                f"{self.path} is damaged so that the HDF5 library crashes on it, or takes more than {_TRIAL_TIME} s of "
-                "processor time or 512 MiB of memory to open it: use another copy of the file"
+                f"{self.path} is damaged: the HDF5 library crashes when it opens the file, or needs more than "
+                f"{_TRIAL_TIME} s of processor time or 512 MiB of memory; use another copy of the file"
             )
 
     def _has_outline(self) -> bool:

@@ -349,8 +349,8 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
         at = motion.at(own.time) if len(motion) else motion
         if len(at) < FEWEST:
             raise Untrustworthy(
-                f"the torque cell has {len(at)} readings of its own beside the angle's, and Kc and Bc need at least "
-                f"{FEWEST}: record for longer, or check the clock that gives the cell's time if it stands still"
+                f"the torque cell gave only {len(at)} readings beside those of the angle, and Kc and Bc need at least "
+                f"{FEWEST}: record for longer, or check whether the clock of the cell's times stands still"
             )
         found = own.value[np.searchsorted(own.time, at.time)]
         if is_last:

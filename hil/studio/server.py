@@ -232,8 +232,8 @@ def bind(port: int) -> socket.socket:
     except OSError as error:
         bound.close()
         raise WrongUse(
-            f"port {port} cannot be used ({error.strerror}): another hil studio may have it, whose terminal prints a "
-            "link with Enter; or choose another port with --port, 0 for any that is free"
+            f"port {port} cannot be used ({error.strerror}): another hil studio may use it: press Enter in its "
+            "terminal for a link, or choose another port with --port (0: any free port)"
         ) from None
     return bound
 

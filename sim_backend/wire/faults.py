@@ -208,5 +208,5 @@ def follow(plan: FaultPlan, link: WireFaults[Any], motors: Iterable[Faulty], pow
         *(motor.follow_plan(plan) for motor in motors)
     )
     if odd := sorted(plan.kinds() - known):
-        raise ValueError(f"{', '.join(odd)} cannot happen here: it knows {', '.join(sorted(known))}")
+        raise ValueError(f"{', '.join(odd)} cannot happen here: possible are {', '.join(sorted(known))}")
     link.follow(plan, powered)

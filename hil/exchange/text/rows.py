@@ -134,8 +134,8 @@ class _Damage:
         cells = tuple(cell.strip().lstrip("\ufeff") for cell in row)
         if cells not in form.heads and any(len({*cells} & {*head} - {""}) > 1 for head in form.heads):
             raise WrongUse(
-                f"{source}, row {line}: the headings stand there again, with other columns or in another order, so "
-                "that the columns below are others: write each part into a file of its own"
+                f"{source}, row {line}: the headings stand there again, with other columns or in another order: write "
+                "each part into a separate file"
             )
         if cells not in form.heads and not COMMENT.match(row[0]) and any(map(_READING.match, cells)):
             self.lost.append((line, what))

@@ -295,7 +295,7 @@ def test_a_torque_is_not_commanded_of_a_servo_without_a_torque_mode(tmp_path: Pa
     stand.write_text(STAND.format(table='model = "sts3215"', source="motor"))
     assert run(["record", "--stand", str(stand), "-o", str(tmp_path / "run.h5")]) == 2
     said = capsys.readouterr().err
-    assert "cannot be commanded a torque" in said
+    assert "accepts no torque as set-point" in said
     assert "torque cell at the joint" in said
     assert "--mode position" in said
     assert not (tmp_path / "run.h5").exists()

@@ -99,5 +99,5 @@ def test_what_was_not_asked_for_is_refused() -> None:
 
 
 def test_settings_of_the_paper_are_refused() -> None:
-    with pytest.raises(ValueError, match='only "generational"'):
+    with pytest.raises(ValueError, match='only the scheme "generational"'):
         Search(PAPER_BOUNDS, PRESETS["paper"])

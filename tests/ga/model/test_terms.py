@@ -346,7 +346,7 @@ def test_a_term_that_is_advised_makes_a_model_with_what_it_needs_whatever_the_mo
 
 def test_what_only_shapes_friction_is_refused_without_any() -> None:
     with pytest.raises(
-        ValueError, match="smooth says how friction turns, and there is none: add coulomb, capstan or pulley"
+        ValueError, match="smooth changes a friction, and the model has none: add coulomb, capstan or pulley"
     ):
         parse("linear+offset+smooth")
     assert parse("linear+offset+smooth+pulley").name == "linear+offset+pulley+smooth"

@@ -214,5 +214,5 @@ def test_a_table_of_several_topics_is_read_where_a_row_has_a_reading(tmp_path: P
 
 def test_a_topic_of_another_table_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t [s],q [N*m]\n0,1\n")
-    with pytest.raises(WrongUse, match="is no bag and has no topics or joints: name its columns"):
+    with pytest.raises(WrongUse, match="is no bag and has no topics or joints: leave out --topic"):
         imported(tmp_path, tmp_path / "a.csv")

@@ -204,7 +204,7 @@ def test_an_excitation_too_weak_to_identify_the_damping_is_warned_of() -> None:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--kc", "0"], "--kc 0: a coupling has more than zero N m/rad"),
+        (["--kc", "0"], "--kc 0: it must be above 0 N m/rad"),
         (["--torque-noise", "0"], "--torque-noise 0"),
         (["--band", "1:200"], "needs a rate of at least 800 Hz"),
         (["--amplitude", "0.02"], "lower --amplitude to 0.0"),

@@ -38,7 +38,7 @@ def test_every_kind_can_be_planned(tmp_path: Path) -> None:
         ("[[fault]]\nkind = 'drop'\nframe = 1\nduration = 2\n", "duration .* can only be used with at"),
         ("[[fault]]\nkind = 'delay'\nat = 1\nsize = -1\n", "line 1: fault: size -1: give a number from 0 to 60 .s"),
         ("[[fault]]\nkind = 'truncate'\nat = 1\nsize = 2.5\n", "size 2.5: give a whole number from 1 .* .bytes"),
-        ("[[fault]]\nkind = 'drop'\nat = 1\nsize = 1\n", "size 1: this kind has none"),
+        ("[[fault]]\nkind = 'drop'\nat = 1\nsize = 1\n", "size 1: this kind of fault has no size"),
         ("[fault]\nkind = 'drop'\n", "line 1: fault: .* must be a list"),
         ("fault = [1]\n", "must be a table"),
         ("[[fault\n", "is not TOML"),
