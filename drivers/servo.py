@@ -176,12 +176,13 @@ class ServoInfo:
     """The identity of a servo and the resolution of its readings.
 
     quantities: the set-points that the servo supports. position_lsb rad, torque_lsb N m, velocity_lsb rad/s: the value
-    of one count at the motor shaft, NaN if not known. torque_uncertainty: relative standard uncertainty of the torque
-    scale, NaN if not known. watchdog: s of silence after which the device turns its torque off by itself; 0 if it never
-    does, or if that is not known. watchdog_remedy: which setting enables the watchdog; "" if the device has none.
-    serial_is_id: whether `serial` is only the servo's number on the bus, because the servo reports no serial number.
-    measures_when_off: whether the servo measures its torque while the torque is off; otherwise it only reports zero
-    without a measurement.
+    of one count at the motor shaft, NaN if not known. torque_most N m: twice the stall torque, infinite if not known. A
+    larger reading is damaged: even a motor that is reversed at full speed does not carry more than twice its stall
+    current. torque_uncertainty: relative standard uncertainty of the torque scale, NaN if not known. watchdog: s of
+    silence after which the device turns its torque off by itself; 0 if it never does, or if that is not known.
+    watchdog_remedy: which setting enables the watchdog; "" if the device has none. serial_is_id: whether `serial` is
+    only the servo's number on the bus, because the servo reports no serial number. measures_when_off: whether the servo
+    measures its torque while the torque is off; otherwise it only reports zero without a measurement.
     """
 
     backend: str
@@ -192,11 +193,27 @@ class ServoInfo:
     position_lsb: float = math.nan
     velocity_lsb: float = math.nan
     torque_lsb: float = math.nan
+    torque_most: float = math.inf
     torque_uncertainty: float = math.nan
     watchdog: float = 0.0
     watchdog_remedy: str = ""
     serial_is_id: bool = False
     measures_when_off: bool = True
+
+    def check_readings(self, position: float, velocity: float, torque: float) -> None:
+        """Check the readings of one reply. Raises BadReply if a reading is not finite, or the torque, N m, is above
+        `torque_most`.
+
+        A checksum of one byte accepts one in 256 damaged replies. A damaged reading in range cannot be recognised.
+        """
+        for name, value in (("position", position), ("velocity", velocity), ("torque", torque)):
+            if not math.isfinite(value):
+                raise BadReply(f"the drive reports a {name} that is not a number: the sample is dropped")
+        if abs(torque) > self.torque_most:
+            raise BadReply(
+                f"the reply holds a torque of {torque:.3g} N m, more than twice the drive's stall torque "
+                f"({self.torque_most / 2.0:.3g} N m): it is damaged, and the sample is dropped; check the cable"
+            )
 
 
 class Servo(Protocol):

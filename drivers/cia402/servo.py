@@ -176,6 +176,7 @@ class Cia402Servo:
         sent = self.clock.now()
         position, velocity, torque = self._node.state()
         sign, scale = self._config.sign, self._scale
+        self.info.check_readings(position * scale.position, velocity * scale.velocity, torque * scale.torque)
         return Sample(
             t=sent,
             t_read=0.5 * (sent + self.clock.now()),
@@ -195,6 +196,7 @@ class Cia402Servo:
         if self._gate.armed and (state is not DriveState.ENABLED or self._node.away):
             raise self._node.fault_in(state)
         sign, scale = self._config.sign, self._scale
+        self.info.check_readings(position * scale.position, velocity * scale.velocity, torque * scale.torque)
         limiting = saturated or bool(self._gate.armed and statusword & LIMITING)
         return Sample(
             t=sent,

@@ -125,6 +125,7 @@ class CommanderServo:
         self._unsure = False
         self._check_enabled(enabled)
         sign, constant = self._config.sign, self._config.torque_constant
+        self.info.check_readings(reply.angle, reply.velocity, reply.current * constant)
         # of a disabled motor the board repeats the last current; none flows, unless its word is not to be trusted yet
         current = reply.current if enabled == "1" else math.nan if self._gate.live else 0.0
         return Sample(

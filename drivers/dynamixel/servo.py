@@ -157,6 +157,7 @@ class DynamixelServo:
             position_lsb=POSITION_LSB,
             velocity_lsb=self._series.velocity_lsb,
             torque_lsb=self._torque_lsb if self._model.current_lsb else math.nan,
+            torque_most=2.0 * self._config.largest_torque,
             torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
             watchdog=self._config.watchdog,
             watchdog_remedy="set dynamixel.watchdog = 0.1" if self._model.protocol == 2 else "",
@@ -207,13 +208,14 @@ class DynamixelServo:
             if freshness is Freshness.STILL:
                 status |= Status.STALE
         self._impossible = 0
-        sign = self._config.sign
+        sign, torque = self._config.sign, state.current * self._constant
+        self.info.check_readings(state.position, state.velocity, torque if self._model.current_lsb else 0.0)
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
             motor_position=sign * state.position * POSITION_LSB,
             motor_velocity=sign * state.velocity,
-            motor_torque=sign * state.current * self._constant,
+            motor_torque=sign * torque,
             temperature=state.temperature,
             voltage=state.voltage,
             status=status,

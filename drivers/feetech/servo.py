@@ -186,6 +186,7 @@ class FeetechServo:
             position_lsb=self._model.position_lsb,
             velocity_lsb=self._block.velocity_lsb,
             torque_lsb=self._torque_lsb if known else math.nan,
+            torque_most=2.0 * self._config.largest_torque,
             torque_uncertainty=math.nan if stated else self._model.torque_uncertainty,
         )
 
@@ -258,14 +259,15 @@ class FeetechServo:
         return (item.address, item.encoded(clipped)), admitted.clipped or clipped != counts
 
     def _sample(self, state: FeetechState, sent: float, received: float, *, saturated: bool) -> Sample:
+        sign, torque = self._config.sign, state.current * self._config.constant
+        self.info.check_readings(state.raw, state.velocity, torque)
         self._follow(state.raw)
-        sign = self._config.sign
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
             motor_position=sign * self._position * self._model.position_lsb,
             motor_velocity=sign * state.velocity,
-            motor_torque=sign * state.current * self._config.constant if self._config.constant else math.nan,
+            motor_torque=sign * torque if self._config.constant else math.nan,
             temperature=state.temperature,
             voltage=state.voltage,
             status=Status.SATURATED if saturated else Status(0),

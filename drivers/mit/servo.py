@@ -90,7 +90,8 @@ class MitServo:
         if counts is not None:
             self._check_follows(counts, state)
         require_position(state.position)
-        sign = self._config.sign
+        sign, torque = self._config.sign, state.torque * self._config.torque_scale
+        self.info.check_readings(state.position, state.velocity, torque)
         # the read that switches a live AK off says nothing of the torque before it
         unknown = counts is None and self._gate.live and not self._motor.damiao
         return Sample(
@@ -98,7 +99,7 @@ class MitServo:
             t_read=0.5 * (sent + received),
             motor_position=sign * state.position,
             motor_velocity=sign * state.velocity,
-            motor_torque=math.nan if unknown else sign * state.torque * self._config.torque_scale,
+            motor_torque=math.nan if unknown else sign * torque,
             temperature=state.temperature - self._config.temperature_offset,
             status=Status.SATURATED if saturated or admitted.clipped else Status(0),
         )
@@ -144,6 +145,7 @@ class MitServo:
             position_lsb=codec.position.lsb,
             velocity_lsb=codec.velocity.lsb,
             torque_lsb=codec.torque.lsb * self._config.torque_scale,
+            torque_most=2.0 * self._config.largest_torque,
             torque_uncertainty=model.torque_uncertainty if self._config.torque_scale == 1.0 else math.nan,
             watchdog=self._config.watchdog if self._motor.damiao else 0.0,  # an AK's cannot be read over CAN
             watchdog_remedy="set mit.watchdog = 0.1" if self._motor.damiao else "",

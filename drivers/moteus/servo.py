@@ -236,8 +236,7 @@ class MoteusServo:
         if freshness is Freshness.IMPOSSIBLE:
             self._refuse_impossible()
         self._impossible = 0
-        if not all(math.isfinite(state[name]) for name in ("position", "velocity", "torque")):
-            raise BadReply("the controller reports a reading that is not a number: the sample is dropped")
+        self.info.check_readings(state["position"], state["velocity"], state["torque"])
         status = Status.SATURATED if saturated or limiting(state.whole("fault")) else Status(0)
         if freshness is Freshness.STILL:
             status |= Status.STALE

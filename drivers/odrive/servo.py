@@ -28,7 +28,7 @@ from drivers.odrive.messages import (
     watchdog_bit,
 )
 from drivers.odrive.parameters import Parameters
-from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -117,8 +117,7 @@ class OdriveServo:
         received = self.clock.now()
         position, velocity = self._axis.codec.decoded("encoder", replies["encoder"])
         _, measured = self._axis.codec.decoded(torque, replies[torque])
-        if not (math.isfinite(position) and math.isfinite(velocity) and math.isfinite(measured)):
-            raise BadReply("the axis reports a reading that is not a number: the sample is dropped")
+        self.info.check_readings(position, velocity, measured)
         scale = 1.0 if torque == "torques" else self._config.torque_constant
         return Sample(
             t=sent,

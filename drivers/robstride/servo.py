@@ -92,13 +92,14 @@ class RobstrideServo:
         received = self.clock.now()
         self._check(state)
         require_position(state.position)
-        sign = self._config.sign
+        sign, torque = self._config.sign, state.torque * self._config.torque_scale
+        self.info.check_readings(state.position, state.velocity, torque)
         return Sample(
             t=sent,
             t_read=0.5 * (sent + received),
             motor_position=sign * state.position,
             motor_velocity=sign * state.velocity,
-            motor_torque=sign * state.torque * self._config.torque_scale,
+            motor_torque=sign * torque,
             temperature=state.temperature,
             status=Status.SATURATED if saturated or admitted.clipped else Status(0),
         )
@@ -141,6 +142,7 @@ class RobstrideServo:
             position_lsb=codec.position.lsb,
             velocity_lsb=codec.velocity.lsb,
             torque_lsb=codec.torque.lsb * scale,
+            torque_most=2.0 * self._config.largest_torque,
             torque_uncertainty=model.torque_uncertainty if scale == 1.0 else math.nan,
             watchdog=self._config.watchdog,
             watchdog_remedy="set robstride.watchdog = 0.1",

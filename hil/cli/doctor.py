@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -142,7 +143,9 @@ def _print_check(check: Check) -> None:
 def _as_json(checks: CheckList, ports: dict[str, list[Port]], report: Report | None) -> dict[str, Any]:
     info = None if checks.info is None else asdict(checks.info) | {"quantities": sorted(checks.info.quantities)}
     if info is not None:
-        info = {key: None if value != value else value for key, value in info.items()}  # noqa: PLR0124 - JSON has no NaN
+        info = {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in info.items()
+        }
     return {
         "schema": "hil-doctor/2",
         "ok": checks.ok,
