@@ -23,6 +23,8 @@ def parsers() -> Any:
         sys.path.remove(str(BENCHMARKS))
 
 
+pytestmark = pytest.mark.damaged_files  # SciPy ends the process on some damaged MAT-files
+
 NAMES = (
     "dynamixel 2", "dynamixel 1, feetech", "feetech block", "mit", "robstride", "moteus", "odrive", "board lines",
     "stand", "plan",
