@@ -8,8 +8,8 @@ that was compiled into it. Therefore the name of the cache folder contains a has
 can come from: machine code of a changed, renamed or moved module is never found again.
 
 Several processes share the folder. Each function has a lock file in the folder, so that one process compiles the
-function and the others wait and load the result. A function locks those that it calls while it is locked itself; calls
-have no cycles, so two processes never wait for each other.
+function and the others wait and load the result. While a function is locked, it locks the functions that it calls.
+Calls have no cycles, so two processes never wait for each other.
 
 Ctrl-C takes effect between two functions: LLVM calls back into Python, where a KeyboardInterrupt would be lost.
 

@@ -8,8 +8,8 @@
     result.report("run1.html")
 
 SI everywhere. Arguments have the names, the defaults and the meaning of the command line's options. A function raises
-`WrongUse` where what is asked cannot be done, `Untrustworthy` where no result can be drawn from the data, and
-`drivers.servo.DriverError` where a drive fails. What is imported here is loaded at its first use.
+`WrongUse` if the request cannot be carried out, `Untrustworthy` if the data give no result, and
+`drivers.servo.DriverError` if a drive fails. Each name of this module is loaded at its first use.
 """
 
 from __future__ import annotations

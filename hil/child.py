@@ -1,4 +1,4 @@
-"""What a second process of hil needs: the command line that starts a module of hil, and memory that both share."""
+"""Helpers for a second process of hil: the command line that starts a module of hil, and memory that both share."""
 
 from __future__ import annotations
 

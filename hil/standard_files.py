@@ -7,7 +7,7 @@ import sys
 
 
 def open_standard_files() -> None:
-    """Open the null device in place of those of the descriptors 0, 1 and 2 that are closed.
+    """Open the null device for each of the descriptors 0, 1 and 2 that is closed.
 
     The system gives a new port, pipe or recording the lowest free descriptor. With 0, 1 or 2 the guardian could not
     inherit the port, because these three are replaced in a child process, and messages could go to the drive or into

@@ -194,7 +194,7 @@ def quantity(text: str, *dimensions: str) -> tuple[float, str | None]:
     """Return the number in a text such as "10 deg" or "10", in SI, and its dimension, which is None if the text has no
     unit.
 
-    dimensions: those allowed. Raises WrongUse for any other text.
+    dimensions: the allowed dimensions. Raises WrongUse for any other text.
     """
     if comma := decimal_comma(text):
         raise WrongUse(f"{text!r}{comma}")

@@ -33,7 +33,7 @@ class Register(Protocol):
 
 
 class ControlTable:
-    """The registers of the servo on `bus` by name. Every method raises what `Bus` does.
+    """The registers of the servo on `bus` by name. Every method raises NoReply, BadReply, LinkLost, DriverError.
 
     settings: registers that are written for a run and read back. Those below the address `eeprom_end` keep their value
     without power, so they are restored at the end.

@@ -144,10 +144,10 @@ def not_negative(
 def _as_nearby(
     columns: NDArray[np.float64], torque: NDArray[np.float64], positive: tuple[int, ...], near: NDArray[np.float64]
 ) -> Optimum | None:
-    """Return the optimum with those genes at zero that are zero in `near`, if it is the bounded optimum; else None.
+    """Return the optimum in which the genes that are zero in `near` are zero, if it is the bounded optimum; else None.
 
-    It is the bounded optimum if the error does not fall when one of these genes rises, which the multipliers of the
-    active rows show.
+    It is the bounded optimum if the error does not fall when one of these genes rises; the multipliers of the active
+    rows show this.
     """
     zero = [k for k in positive if near[k] == 0.0]
     if not zero:

@@ -279,8 +279,8 @@ class CouplingModel:
         return torque
 
     def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """Return a torque (m,) or columns (m, p) after the torque cell's filter, less what unknown initial states
-        explain, (n,) or (n, p).
+        """Filter a torque (m,) or columns (m, p) like the torque cell, and return them, (n,) or (n, p), without the
+        part that unknown initial states explain.
         """
         return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
 

@@ -56,8 +56,9 @@ class Seen:
     ) -> list[Array]:
         """Return the columns (n,) of terms; with `changing`, their time derivatives.
 
-        present: each term, whether it bends (see `passed`), and its parameters. Columns are kept with the motion,
-        because most of them do not change in a search. The others are filtered together: that takes half as long.
+        present: each term, whether its torque is no linear filter of the motion, and its parameters. Columns are kept
+        with the motion, because most of them do not change in a search. The others are filtered together: that takes
+        half as long.
         """
         asked = [self._asked(*one, changing) for one in present]
         bent = [column for one in asked if one.filtered for column in one.columns]
@@ -85,10 +86,9 @@ class Seen:
 
 
 class _Asked(NamedTuple):
-    """The columns (m,) of a term, of all samples if the term reaches `beyond` those that are requested.
-
-    key: under which the motion is to keep them; None if it does, or shall not. filtered: whether they are to be
-    filtered.
+    """The columns (m,) of a term. beyond: whether the term depends on samples that are not requested; then the columns
+    are of all samples. key: the key under which the motion must keep the columns; None if it keeps them already or must
+    not. filtered: whether the columns must be filtered.
     """
 
     motion: Motion

@@ -1,5 +1,5 @@
-"""The cubic spline through samples: twice differentiable, with a continuous third derivative beside both ends (de Boor
-1978).
+"""The cubic spline through samples: twice differentiable, with a continuous third derivative at the second and the last
+but one knot (de Boor 1978).
 """
 
 from __future__ import annotations

@@ -47,17 +47,19 @@ SMALLEST: Final = "+".join(t.name for t in _RECORDS if t.selection == "smallest"
 
 
 def of_role(*roles: Role) -> tuple[str, ...]:
-    """Return the names of the terms of these roles, in the order of the table, without those that are only named."""
+    """Return the names of the terms of the given roles, in the order of the table, without terms of the class
+    "named".
+    """
     return tuple(name for name, one in TERMS.items() if one.role in roles and one.selection != "named")
 
 
 def of_kind(names: Iterable[str], *kinds: Kind) -> tuple[str, ...]:
-    """Return those of `names` that name a parameter of one of these kinds, in their order."""
+    """Return the entries of `names` that name a parameter of one of the given kinds, in their order."""
     return tuple(name for name in names if name in PARAMETERS and PARAMETERS[name].kind in kinds)
 
 
 def size_of(values: Mapping[str, float], *kinds: Kind) -> float:
-    """Return the sum of the parameters of these kinds among `values`, by name; 0 without any."""
+    """Return the sum of all parameters of the given kinds; 0 without any. values: the parameters by name."""
     return sum((values[name] for name in of_kind(values, *kinds)), 0.0)
 
 
@@ -115,7 +117,7 @@ def lacking(term: str, terms: Collection[str]) -> str:
 
 
 def compatible_model(term: str, terms: Collection[str]) -> str:
-    """Return the name of a model of the given term, the term that it needs, and those of `terms` that these do not
+    """Return the name of a model with `term`, the term that it needs, and all of `terms` that these two do not
     exclude.
     """
     needed = lacking(term, terms) or term
@@ -124,7 +126,7 @@ def compatible_model(term: str, terms: Collection[str]) -> str:
 
 
 def _beside(given: Collection[str], terms: Collection[str]) -> tuple[str, ...]:
-    """Return those of `terms` that the given terms do not exclude, and that do not lose a term that they need."""
+    """Return the terms in `terms` that the `given` terms do not exclude, and whose needed terms they do not exclude."""
     kept = tuple(term for term in terms if not any(_excluded(one, term) for one in given))
     lost = [term for term in kept if lacking(term, (*kept, *given)) and not lacking(term, terms)]
     return tuple(term for term in kept if term not in lost)

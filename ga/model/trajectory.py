@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Filter(Protocol):
-    """The filter that the readings of torque and angle went through, the same for all.
+    """The filter that the readings of torque and of angle went through, the same for both.
 
     longest_step: the longest time between two samples, s, at which the filter is possible. of_every: returns the filter
     for a signal with only every n-th sample. passing: returns a function that filters values (n,) or (k, n).
@@ -117,7 +117,7 @@ class Motion:
 
     @property
     def repeats(self) -> bool:
-        """Return whether the motion repeats often enough to separate changes in time from those with direction."""
+        """Return whether the motion repeats often enough to separate changes with time from changes with direction."""
         return self.passes >= _AGAIN
 
     @property
@@ -351,7 +351,7 @@ class Motion:
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:
-        """Return for each piece a function that filters values (n,) of the piece."""
+        """Return for each piece a function that passes values (n,) of the piece through the filter `behind`."""
         stretches = self._stretches()
         return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
 

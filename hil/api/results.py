@@ -1,6 +1,7 @@
 """The results of `hil.identify` and `hil.compare`: numbers, tables, pictures and reports.
 
-What only a report or a picture needs is imported there: it is a tenth of the start of `hil identify`.
+Modules that only reports and pictures need are imported in their functions: that saves a tenth of the start of `hil
+identify`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Messages of hil in the words of Python: the option `--model linear` of a command is the argument model="linear" here.
 
 A remedy is written once, with the options of the command line. In Python the same remedy is read as the options that it
-names, and each option that a function of `import hil` has as an argument is written as that argument: with its value
-as model="linear", without one as `model`. What an option prints is in Python an attribute of the result.
+names, and each option that a function of `import hil` has as an argument is written as that argument: with its value as
+model="linear", without one as `model`. An option that prints something is an attribute of the result in Python.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def diagnostics_in_python(found: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ..
 def in_python(message: str, own: Mapping[str, inspect.Parameter] = MappingProxyType({})) -> str:
     """Return a message with the options that it names as arguments; unchanged on the command line.
 
-    own: parameters of the function that was called, beside those of the functions that record and identify. An option
+    own: further parameters of the called function, besides those of the functions that record and identify. An option
     that is no argument, and a command with other words than such options, are left as they are.
     """
     if "--" not in message or _ON_THE_COMMAND_LINE.get():

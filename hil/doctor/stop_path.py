@@ -28,7 +28,7 @@ def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) 
     """Arm the drive without a set-point, switch the torque off, and check that the drive refuses a set-point
     afterwards.
 
-    Raises DeviceFault and DriverError as `arm` and `disarm` do.
+    Raises DeviceFault, DriverError.
     """
     before = answered(servo).motor_position
     servo.arm(limits)
@@ -55,7 +55,7 @@ def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) 
 def check_watchdog(checks: CheckList, servo: Servo, limits: Limits) -> None:
     """Arm the drive, send nothing for longer than the time of its watchdog, and check that the drive has stopped.
 
-    Raises DeviceFault and DriverError as `arm` and `disarm` do.
+    Raises DeviceFault, DriverError.
     """
     period = servo.info.watchdog
     if not period:

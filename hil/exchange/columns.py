@@ -52,8 +52,8 @@ class Table:
     def read(self, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
         """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and the row numbers, (n,).
 
-        wanted: names as `place` accepts them. where: the filters. Raises WrongUse if no row passes, and for an error in
-        the file, with its row.
+        wanted: names of columns, with or without their units. where: the filters. Raises WrongUse if no row passes, and
+        for an error in the file, with its row.
         """
         filters = [(self.place(one.column), one) for one in where]
         own = [self.place(name) for name in wanted]

@@ -36,7 +36,8 @@ class Value(NamedTuple):
 
 class Columns(NamedTuple):
     """The values in rows. read: the number of rows. stamps: of the rows with values, ns. values: the columns by
-    heading, (n,) each. joint: the name left out of the paths. joints: the outermost names in all paths.
+    heading, (n,) each. joint: the joint's name, which is left out of the paths. joints: the outermost names of all
+    paths.
     """
 
     read: int
@@ -112,7 +113,7 @@ def _without(joint: str, paths: Sequence[tuple[str, ...]]) -> list[str]:
 
 
 def _values(path: tuple[str, ...], named: tuple[str, ...], value: Any, beside: Names) -> Iterator[Value]:
-    """Yield the values of a row or of a part of it. beside: the names in this part and in those it is part of."""
+    """Yield the values of a row or of a part of it. beside: the names in this part and in the parts around it."""
     if isinstance(value, np.ndarray | list | tuple):
         yield from _elements(path, named, value, beside)
     elif (fields := _fields(value)) is None:

@@ -89,7 +89,7 @@ class Measures:
 
     @property
     def loading(self) -> Spread:
-        """Return the loading stiffness in the last part, both directions together, N m/rad."""
+        """Return the loading stiffness in the last part of the torque's range, both directions together, N m/rad."""
         return self.stiffness["loading", "both", self.parts[-1]]
 
 

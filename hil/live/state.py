@@ -74,7 +74,7 @@ class Margin:
 
 
 class State:
-    """The state of a run in progress. rows: those of its file. duration: planned, s. limits: by name, SI at the
+    """The state of a run in progress. rows: the rows of its file. duration: planned, s. limits: by name, SI at the
     joint.
     """
 

@@ -128,7 +128,9 @@ def _pictures(at: int, entry: Entry) -> list[Picture]:
 
 
 def chart(entries: Sequence[Entry]) -> Chart:
-    """Return Kc and Bc over the recordings, with their intervals. What may not be trusted is named and not drawn."""
+    """Return Kc and Bc over the recordings, with their intervals. Values that may not be trusted are listed and not
+    drawn.
+    """
     factor, units = _units(entries)
     panels = []
     for name, unit in zip(PARAMETERS, units, strict=True):

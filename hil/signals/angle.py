@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def difference(order: int) -> Array:
-    """Return the weights (order + 1,) of the difference of an even order, scaled to 1 at the middle reading.
+    """Return the weights (order + 1,) of the finite difference of an even order, scaled to 1 at the middle reading.
 
     The weighted sum is the reading less the value of the polynomial through its neighbours.
     """
@@ -102,8 +102,8 @@ def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
 def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far.
 
-    The neighbours are taken as equally spaced, as rows are whose stamps are late. Where replies are lost, or where a
-    row was read late, a right reading lies on the cubic through its neighbours at their own times.
+    The neighbours are assumed to be equally spaced, because only their stamps may be late. Beside lost replies, and if
+    a row was read late, a correct reading lies on the cubic through its neighbours at their stamps, and is not far.
     """
     if len(angle) < 2 * len(_CUBIC):
         return np.zeros(0), np.zeros(0, dtype=np.int64)

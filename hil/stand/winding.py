@@ -102,7 +102,7 @@ class WindingModel:
 
     @property
     def cold(self) -> Temperatures:
-        """The temperatures after a long rest: those of the air."""
+        """The temperatures after a long rest: winding and case are as warm as the air."""
         return Temperatures(self.air, self.air)
 
     def after(self, state: Temperatures, square: float, seconds: float) -> Temperatures:

@@ -1,4 +1,4 @@
-"""What the page shows of its folder: stand files, recordings with the results beside them, and traces."""
+"""The contents of the folder, as the page shows them: stand files, recordings with their results, and traces."""
 
 from __future__ import annotations
 

@@ -80,7 +80,9 @@ class Access:
 
 
 class Guard:
-    """The middleware: refuses what `access` refuses, and adds the headers that keep foreign scripts out of the page."""
+    """The middleware: it refuses the requests that `access` refuses, and adds the headers that keep foreign scripts out
+    of the page.
+    """
 
     def __init__(self, app: App, access: Access) -> None:
         self._app, self._access = app, access

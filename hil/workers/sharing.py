@@ -26,7 +26,7 @@ def shared(
 
     here: function that does the task of a given number in this process. others: number of other processes, which start
     after `delay` s of work, so that they load while this process does the first tasks. on_done: called with the number
-    of completed tasks. Raises what a task raises; then no further task begins.
+    of completed tasks. Raises the error of a task that fails; then no further task begins.
     """
     waiting, found, over = deque(range(len(tasks))), dict[int, Any](), threading.Event()
     # the processes end first, or a task that has become useless would be waited for

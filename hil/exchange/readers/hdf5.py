@@ -62,8 +62,8 @@ def _kind(item: Any) -> str:
 
 
 def _parts(file: h5py.File, name: str, item: Any) -> Iterator[tuple[str, Any, str | None]]:
-    """Yield the datasets in a dataset, with their names: itself, with each field of a compound type, or those to which
-    its references lead.
+    """Yield name, dataset and field (None without fields) of all data in a dataset: the dataset itself, each field of a
+    compound type, or the datasets to which its references lead.
     """
     if h5py.check_ref_dtype(item.dtype) is not None:
         group, _, last = name.rpartition(".")

@@ -132,8 +132,8 @@ def _headings(
 ) -> tuple[int, list[str], int]:
     """Return the index of the first row, the headings of its cells, and the index of their line. shape: from `_rows`.
 
-    The line has all wanted names; without such a line it is the nearest one above the rows with as many names as they
-    have cells. Where a log began in the middle of a row, the headings follow the first rows.
+    The line of headings has all wanted names. Without such a line, it is the nearest line above the rows that has a
+    name for each cell. Where a log began in the middle of a row, the headings follow the first rows.
     """
     delimiter, fields, rows = shape
     texts = [at for at, line in enumerate(lines) if line.strip() and at not in set(rows)]

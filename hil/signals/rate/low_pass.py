@@ -127,7 +127,7 @@ def passed(time: Array, values: Array, low_pass: LowPass) -> tuple[Array, Array,
 def passing(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     """Return a function that returns the low-passed values of readings (n,) or (k, n) at stamps (n,), s, rising.
 
-    What depends only on the stamps is computed once, so that many readings at the same stamps cost less.
+    The filter's weights at the stamps are computed once, so that many readings at the same stamps cost less.
     """
     if len(time) < c.KEPT_WEIGHTS:
         return _passing_again(low_pass, time.tobytes())

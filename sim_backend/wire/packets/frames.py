@@ -114,7 +114,7 @@ def status(ident: int, error: int, parameters: bytes = b"") -> bytes:
 
 class Taken(NamedTuple):
     """The beginning of a stream of bytes. frame: its packet; None if the stream begins with bytes of no packet. used:
-    the number of bytes of the packet, or of those bytes.
+    the length of this packet, or of these bytes.
     """
 
     frame: Frame | None
