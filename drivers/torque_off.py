@@ -115,14 +115,14 @@ def _read(servo: Servo, driven: Driven, interrupt: BaseException | None) -> Torq
 
 
 def _torque_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
-    """Return a message if the measured torque shows that the torque is still on, else ""."""
+    """Return a message if the torque in `sample` shows that the torque is still on, else ""."""
     most = max(_PULLS * driven.limits.torque, _COUNTS * info.torque_lsb if math.isfinite(info.torque_lsb) else 0.0)
     torque = sample.motor_torque
     return f"the drive says that it is off and still reports {torque:.2g} N m" if abs(torque) > most else ""
 
 
 def _angle_left(info: ServoInfo, sample: Sample, driven: Driven) -> str:
-    """Return a message if the motor's angle shows that the torque is still on, else ""."""
+    """Return a message if the motor's angle in `sample` shows that the torque is still on, else ""."""
     least = _ANGLE_COUNTS * info.position_lsb if math.isfinite(info.position_lsb) else _ANGLE
     left = (sample.motor_position - driven.rest) / driven.turned if abs(driven.turned) > least else math.nan
     if not left > _STAYS:

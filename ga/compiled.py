@@ -138,7 +138,9 @@ def _compiled_in_memory(compile_: Callable[..., Any], *signature: Any) -> Any:
 
 
 def _loaded(stored: Any, load: Callable[..., Any], *signature: Any) -> Any:
-    """Load machine code; None if there is none. If a file is damaged, clear the index, so that it is compiled again."""
+    """Load machine code; None if there is none. If a file is damaged, clear the index `stored`, so that it is compiled
+    again.
+    """
     try:
         return load(*signature)
     except Exception:  # noqa: BLE001 - bytes of a damaged file can raise anything

@@ -83,7 +83,9 @@ def _quantity(value: Any, unit: str, hint: Any) -> tuple[Any, dict[Place, str]]:
 
 
 def _meant(value: Any, unit: str, hint: Any) -> str:
-    """Return a sentence about a number that cannot be meant in the SI unit `unit`, "" for any other value."""
+    """Return a sentence about a number that cannot be meant in the SI unit `unit`, "" for any other value. hint: the
+    type hint of the key.
+    """
     usual = next((part for part in _parts(hint) if isinstance(part, Usual)), _USUAL.get(unit))
     if usual is None or not isinstance(value, int | float) or not usual.most < value <= sys.float_info.max:
         return ""

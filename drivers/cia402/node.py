@@ -147,7 +147,9 @@ class Node:
         self.network.node.emcy.reset()  # type: ignore[no-untyped-call]  # canopen is typed in parts
 
     def limit(self, limits: Limits, scale: Scale) -> None:
-        """Write the limits into the drive. A limit of the drive that is lower already stays. Raises DriverError."""
+        """Write the limits into the drive. A limit of the drive that is lower already stays. scale: SI values of the
+        drive's counts. Raises DriverError.
+        """
         kind = self.profile
         if kind.torque_limit is not None:
             self._lower(kind.torque_limit, limits.torque / scale.torque, "torque limit")

@@ -45,12 +45,12 @@ def messages(layout: Layout) -> dict[str, Message]:
 
 
 def watchdog_bit(layout: Layout) -> int:
-    """Return the bit of the error word that means that the watchdog tripped."""
+    """Return the bit of the error word that means that the watchdog tripped. layout: of the firmware."""
     return int(table("odrive")["watchdog"][layout])
 
 
 def fault(layout: Layout, bits: int) -> DeviceFault:
-    """Return the error for the error word `bits`; the fault RESTARTED if `bits` is zero."""
+    """Return the error for the error word `bits` of a firmware `layout`; the fault RESTARTED if `bits` is zero."""
     if not bits:
         return DeviceFault(
             RESTARTED,

@@ -70,7 +70,7 @@ def parameters() -> dict[str, tuple[int, struct.Struct]]:
 
 
 def identifier(kind: int, field: int, destination: int) -> int:
-    """Return the identifier of a frame."""
+    """Return the identifier of a frame, from its type `kind`, its field and its destination."""
     return kind << 24 | field << 8 | destination
 
 

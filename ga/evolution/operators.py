@@ -79,8 +79,8 @@ def arithmetic_crossover(first: Genes, second: Genes, share: float, child: Genes
 
 @compiled_within
 def mutate(child: Genes, low: Genes, high: Genes, words: Words) -> tuple[int, Words]:
-    """Redraw one gene of the child, chosen at random, uniformly in its bounds (the paper, "Mutation"). Return the
-    gene's index.
+    """Redraw one gene of the child, chosen at random, uniformly between `low` and `high` (the paper, "Mutation").
+    Return the gene's index.
     """
     k, words = below(words, child.size)
     part, words = uniform(words)
@@ -133,7 +133,7 @@ def ensemble_crossover(genes: Genes, parents: Order, reach: float, child: Genes,
 
 @compiled_inline
 def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
-    """Return whether every gene is within its bounds."""
+    """Return whether every gene of the child lies between its bounds `low` and `high`."""
     for k in range(child.size):  # noqa: SIM110 - numba compiles no generator expression
         if not low[k] <= child[k] <= high[k]:
             return False
@@ -142,6 +142,6 @@ def is_inside(child: Genes, low: Genes, high: Genes) -> bool:
 
 @compiled_inline
 def clamp(child: Genes, low: Genes, high: Genes) -> None:
-    """Set every gene that is beyond a bound to that bound."""
+    """Set every gene of the child that is beyond its bound `low` or `high` to that bound."""
     for k in range(child.size):
         child[k] = min(max(child[k], low[k]), high[k])

@@ -112,7 +112,7 @@ def recorded(record: Record, due: int, population: Population) -> int:
 
 
 def scatter(rules: Rules, population: Population) -> None:
-    """Draw every gene uniformly in its bounds (the paper, "Initial Population")."""
+    """Draw every gene uniformly within the bounds of `rules` (the paper, "Initial Population")."""
     parts = uniforms(population.generator, population.genes.size).reshape(population.genes.shape)
     population.genes[:] = rules.low + (rules.high - rules.low) * parts
 

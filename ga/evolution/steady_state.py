@@ -113,7 +113,7 @@ def _worst_two(fitness: NDArray[np.float64]) -> tuple[int, float]:
 
 @compiled_inline
 def _place(rules: Rules, population: Population, worst: int, words: Words) -> tuple[int, Words]:
-    """Return the row that the child replaces."""
+    """Return the row that the child replaces. worst: the row of the largest error."""
     place = worst
     if rules.replacement == OLDEST:
         place = population.progress[0] % population.fitness.size  # every child enters, so ages go round
@@ -148,7 +148,9 @@ def _learn(  # noqa: PLR0917 - the compiled loops take their parts by position
     child: Genes,
     limit: float,
 ) -> None:
-    """Store the tangent at the child for the redrawn gene and for the child's side of the centre."""
+    """Store the tangent at the child for the redrawn gene and for the child's side of the centre. limit: error that
+    rejects a child, N m.
+    """
     p = child.size
     tangent = tangents[2 * gene + (1 if child[gene] > centre[gene] else 0)]
     for k in range(p):

@@ -52,7 +52,7 @@ def tree_error(tree: Tree, genes: Vector, limit: float) -> float:
 
 @compiled_inline
 def _leaf_error(tree: Tree, node: int) -> float:
-    """Return the sum of the absolute residuals of a leaf's rows, computed eight at a time."""
+    """Return the sum of the absolute residuals of the rows of the leaf `node`, computed eight at a time."""
     lane, left, p = tree.total, tree.left, tree.place.size
     for j in range(LANES):
         lane[j] = 0.0
@@ -80,7 +80,9 @@ def _leaf_error(tree: Tree, node: int) -> float:
 
 @compiled_inline
 def _is_on_the_way(tree: Tree, node: int) -> bool:
-    """Return whether a cell must still be split. False for the root, which stands for chromosomes out of bounds."""
+    """Return whether the cell `node` must still be split. False for the root, which stands for chromosomes out of
+    bounds.
+    """
     return node > 0 and tree.nodes[node, KIND] == INNER
 
 
@@ -106,7 +108,7 @@ def tree_tangent(tree: Tree, genes: Vector, limit: float, slope: Vector) -> floa
 
 @compiled_no_refcount
 def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
-    """Add the contribution of the rows with undecided sign to n times the slope (p,)."""
+    """Add the contribution of the rows of the cell `node` with undecided sign to n times the slope (p,)."""
     p = slope.size
     if tree.nodes[node, KIND] == LEAVES:
         for i in range(tree.nodes[node, COUNT]):
@@ -127,7 +129,7 @@ def _add_undecided(tree: Tree, node: int, slope: Vector) -> None:
 
 @compiled_no_refcount
 def _list_error(tree: Tree, node: int) -> float:
-    """Return the sum of the absolute residuals of the undecided rows of a cell that is no leaf."""
+    """Return the sum of the absolute residuals of the undecided rows of the cell `node`, which is no leaf."""
     total = carry = 0.0
     for i in range(tree.nodes[node, COUNT]):
         first, end = rows_of(tree, item_of(tree, node, i))
@@ -192,7 +194,7 @@ def _descend(tree: Tree, limit: float) -> int:
 
 @compiled_inline
 def _settled_exceed(tree: Tree, node: int, limit: float) -> bool:
-    """Return whether the rows whose sign is known in a cell alone make an error above the limit."""
+    """Return whether the rows whose sign is known in the cell `node` alone make an error above the limit, N m."""
     bound = extent = tree.sums[node, 0]
     for k in range(tree.place.size):
         rise = -tree.sums[node, k + 1] * tree.place[k]

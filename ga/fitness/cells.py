@@ -181,7 +181,8 @@ def _near_solution(columns: Matrix, torque: Vector) -> Vector:
 
 
 def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
-    """Return the triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1.
+    """Return the triangular matrix (p, p) to coordinates in which the columns are orthogonal, of mean square 1. half:
+    half the bounds' width.
 
     The matrix is rounded to single precision: any similar matrix serves, but it must be equal on every machine.
     """
@@ -203,7 +204,7 @@ def _orthogonal_coordinates(columns: Matrix, half: Vector) -> Matrix:
 def fill(  # noqa: PLR0917 - compiled functions take their parts by position
     columns: Matrix, torque: Vector, origin: Vector, backward: Matrix, order: Whole, rows: Matrix
 ) -> None:
-    """Fill in the rows of a tree, in an order (n,)."""
+    """Fill in the rows of a tree, in an order (n,). origin, backward: its change of coordinates."""
     n, p = columns.shape
     for i in range(n):
         column = columns[order[i]]

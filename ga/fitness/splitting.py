@@ -45,13 +45,13 @@ width.
 
 @compiled_inline
 def blocks_of(tree: Tree, node: int) -> int:
-    """Return the number of blocks of eight rows that a leaf has."""
+    """Return the number of blocks of eight rows that the leaf `node` has."""
     return (tree.nodes[node, COUNT] + LANES - 1) // LANES  # type: ignore[no-any-return]  # int in numba
 
 
 @compiled_inline
 def item_of(tree: Tree, node: int, i: int) -> int:
-    """Return the row or group at position i in a cell's list."""
+    """Return the row or group at position i in the list of the cell `node`."""
     start = tree.nodes[node, START]
     return len(tree.rows) + len(tree.contents) - 1 if start < 0 else tree.undecided[start + i]
 
@@ -84,7 +84,7 @@ def add_carrying(total: float, carry: float, term: float) -> tuple[float, float]
 
 @compiled_inline
 def _code(tree: Tree, node: int) -> int:
-    """Return the number of the part of the parent cell that contains the tree's `place`."""
+    """Return the number of the part of the parent cell `node` that contains the tree's `place`."""
     shift = tree.nodes[node, SHIFT] - _STEP
     code = 0
     for k in range(tree.at.size):
@@ -94,7 +94,7 @@ def _code(tree: Tree, node: int) -> int:
 
 @compiled_no_refcount
 def _slot(tree: Tree, node: int, code: int) -> int:
-    """Return the position of a node's child in the hash table, or the free position for it."""
+    """Return the position in the hash table of the child number `code` of a node, or the free position for it."""
     key = (np.uint64(node) * np.uint64(0x9E3779B97F4A7C15)) ^ (np.uint64(code) * np.uint64(0xC2B2AE3D27D4EB4F))
     slot = np.int64((key ^ (key >> np.uint64(29))) & np.uint64(tree.table.size - 1))
     while tree.table[slot] >= 0:
@@ -107,7 +107,7 @@ def _slot(tree: Tree, node: int, code: int) -> int:
 
 @compiled_no_refcount
 def child_of(tree: Tree, node: int) -> int:
-    """Return the child of a cell that contains the tree's `place`; negative if that child is not grown."""
+    """Return the child of the cell `node` that contains the tree's `place`; negative if that child is not grown."""
     return np.int64(tree.table[_slot(tree, node, _code(tree, node))])  # type: ignore[return-value]  # int in numba
 
 
@@ -222,7 +222,9 @@ def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
 
 @compiled_inline
 def _sign_of(tree: Tree, item: int, reach: float) -> float:
-    """Return the sign that all residuals of an item (a row or a group) have throughout a cell, 0 if it is not known."""
+    """Return the sign that all residuals of an item (a row or a group) have throughout a cell, 0 if it is not known.
+    reach: half the cell's width.
+    """
     group, p = item - len(tree.rows), tree.at.size
     if group < 0:
         residual, needed = residual_at(tree.rows[item], tree.centre), reach * tree.rows[item, p + 1]
@@ -235,7 +237,7 @@ def _sign_of(tree: Tree, item: int, reach: float) -> float:
 
 @compiled_inline
 def _is_open(tree: Tree, group: int, reach: float) -> bool:
-    """Return whether every row of a group may have either sign in a cell."""
+    """Return whether every row of a group may have either sign in a cell. reach: half the cell's width."""
     return abs(_mean_at(tree, group)) + _spread_at(tree, group) < reach * tree.groups[group, 2 * tree.at.size + 2]  # type: ignore[no-any-return]  # bool in numba
 
 
@@ -260,7 +262,7 @@ def _spread_at(tree: Tree, group: int) -> float:
 
 @compiled_no_refcount
 def _add_part(tree: Tree, node: int) -> None:
-    """Add the sums of a few rows to the sums of a cell, and reset the sums of the few rows to zero."""
+    """Add the sums of a few rows to the sums of the cell `node`, and reset the sums of the few rows to zero."""
     for k in range(tree.part.size):
         tree.sums[node, k], tree.carry[k] = add_carrying(tree.sums[node, k], tree.carry[k], tree.part[k])
         tree.part[k] = 0.0
@@ -268,7 +270,7 @@ def _add_part(tree: Tree, node: int) -> None:
 
 @compiled_no_refcount
 def _copy_leaf(tree: Tree, node: int) -> None:
-    """Copy a leaf's rows side by side, in blocks of eight; the last block is filled up with zero rows."""
+    """Copy the rows of the leaf `node` side by side, in blocks of eight; the last block is filled up with zero rows."""
     p, items, rows = tree.at.size, tree.nodes[node, COUNT], tree.nodes[node, ROWS]
     start, blocks = tree.used[USED_LEAVES], (rows + LANES - 1) // LANES
     for i in range(rows, blocks * LANES):

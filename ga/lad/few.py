@@ -219,8 +219,8 @@ def turn(near: Vector, scaled: Matrix, into: Matrix, rows: Matrix, target: Vecto
 def sum_by_sign(  # noqa: PLR0917 - compiled functions take their parts by position
     scaled: Matrix, rows: Matrix, target: Vector, point: Vector, inverse: Matrix, basis: Basis, sums: Vector
 ) -> bool:
-    """Sum the scaled columns, multiplied by the signs of the residuals outside the basis; return False if a residual is
-    zero to rounding.
+    """Fill `sums` (p,) with the scaled columns, each row multiplied by the sign of its residual outside the basis;
+    return False if a residual is zero to rounding.
     """
     p, n = rows.shape
     most, met = 0.0, _next_met(basis, 0, n)

@@ -136,7 +136,9 @@ def _radius(columns: Matrix, torque: Vector, genes: Vector) -> float:
 
 
 def _start(genes: Vector, whitening: Matrix, radius: float) -> Start | None:
-    """Return the cube inside the ball of this radius around `genes`, as the region in which a search begins."""
+    """Return the cube inside the ball of this radius around `genes`, as the region in which a search begins. whitening
+    (p, p): its coordinates.
+    """
     p = len(genes)
     if np.linalg.matrix_rank(whitening) < p:
         return None

@@ -82,7 +82,7 @@ def room_for(n: int, r: int) -> Room:
 
 
 def descend(rows: Matrix, torque: Vector, pull: Vector, start: Vector) -> tuple[int, Basis]:
-    """Find the optimal basis (r,) of rows (r, n) from the point start (r,).
+    """Find the optimal basis (r,) of rows (r, n) from the point start (r,). pull (r,): the linear term of the sum.
 
     Returns OPTIMAL, STALLED or UNBOUNDED, and the basis, which is valid only with OPTIMAL.
     """

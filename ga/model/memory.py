@@ -144,6 +144,7 @@ def beginnings(left: Array, stretch: NDArray[np.int64]) -> Beginnings:
 
 def without_beginnings(values: Array, begun: Beginnings) -> Array:
     """Return values (n,) or (n, p) without the part that the unknown states at the beginning of each piece can cause.
+    begun: from `beginnings`.
 
     By the theorem of Frisch and Waugh (1933), a least-squares fit to the result equals the fit in which these states
     are parameters.

@@ -57,7 +57,9 @@ def polished(problem: Problem, best: Fit, reach: float = _REACH) -> Fit:
 
 
 def _weak_directions(problem: Problem, best: Fit) -> Array:
-    """Return the directions (k, q), best determined first, each one standard error of independent residuals long."""
+    """Return the directions (k, q), best determined first, each one standard error of independent residuals long. best:
+    the fit.
+    """
     columns, _ = problem.linearised(best)
     count = problem.low.size
     linear, jacobian = columns[:, :-count], columns[:, -count:]
@@ -89,7 +91,9 @@ def _lowest_along(problem: Problem, best: Fit, direction: Array, across: Array, 
 
 
 def _next_places(seen: Mapping[float, Fit], lowest: float) -> list[float]:
-    """Return the next points to try; [] if the lowest point is at an end or close to points already tried."""
+    """Return the next points to try; [] if the lowest point is at an end or close to points already tried. seen: the
+    fit at each point.
+    """
     parts = sorted(seen)
     at = parts.index(lowest)
     if at in (0, len(parts) - 1):

@@ -224,7 +224,7 @@ def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] =
 
 
 def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Iterator[Array]:
-    """Yield the nonlinear parameters (q,) of the contained models, if they are within the bounds.
+    """Yield the nonlinear parameters (q,) of the models that the fit `found` contains, if they are within the bounds.
 
     A parameter without an absent value keeps its value: another parameter of its term removes both.
     """
@@ -278,7 +278,7 @@ def _other_starts(problem: Problem, first: Fit, best: Fit, starts: list[Fit]) ->
 
 
 def _is_inside(problem: Problem, found: Fit) -> bool:
-    """Return whether no linear parameter is at its bound."""
+    """Return whether no linear parameter of the fit `found` is at its bound."""
     return all(found.optimum.genes[at] > 0.0 for at in problem.positive)
 
 

@@ -208,7 +208,9 @@ def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
 
 
 def _moves(sign: Array) -> NDArray[np.int64]:
-    """Return the number of the move (n,) that each sample belongs to; a rest belongs to the move before it."""
+    """Return the number of the move (n,) that each sample belongs to; a rest belongs to the move before it. sign (n,):
+    the direction of the move.
+    """
     import numpy as np
 
     return np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)

@@ -97,8 +97,8 @@ def search_nonlinear(
 
 
 def _polish(finished: list[_Trial], problem: Problem) -> None:
-    """Improve the best trial: descend from its local minimum, or from that of a grid of starting values if it is
-    lower.
+    """Improve the best of the `finished` trials: descend from its local minimum, or from that of a grid of starting
+    values if it is lower.
     """
     if finished:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)

@@ -177,7 +177,7 @@ def _expected(settings: Settings, p: int) -> int:
 
 
 def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: int) -> list[_Trial]:
-    """Return the trials with their first populations."""
+    """Return the trials with their first populations, evaluated by the engine."""
     running = []
     for i in range(trials):
         population = begin(engine, run.bounds, run.settings, seed, i, start=start)

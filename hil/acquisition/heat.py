@@ -182,7 +182,9 @@ class WindingHeat:
         )
 
     def _remedies(self, after: float) -> list[str]:
-        """Return the options with which the run would be allowed: the longest duration, the largest amplitude."""
+        """Return the options with which the run would be allowed: the longest duration, the largest amplitude. after:
+        time, s, after which the planned run would be too hot.
+        """
         duration, amplitude = _SPARE * after, _SPARE * self._amplitude * self._share_that_fits()
         shorter = [f"add --duration {_rounded_down(duration)}"] if duration >= _SHORTEST else []
         return [*shorter, f"add --amplitude {_rounded_down(amplitude)}" if amplitude > 0.0 else "wait longer"]

@@ -268,7 +268,9 @@ class Recorder:
         self._check(sample, readings)
 
     def _readings(self, zero: Zero) -> _Readings:
-        """Return the function that converts a sample to torque, deflection and velocity at the joint."""
+        """Return the function that converts a sample to torque, deflection and velocity at the joint. zero: the angles
+        at rest.
+        """
         way, from_cell, has_joint = self._transmission, self._torque_source == "joint", self._has_joint
 
         def at_joint(sample: Sample) -> AtJoint:

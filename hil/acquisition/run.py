@@ -172,7 +172,9 @@ def _raise_alarm(writer: Writer, outcome: Outcome, alarm: Callable[[str], object
 
 
 def _begin(output: Path | None, header: Header, length: int, batch: int, *, force: bool) -> RecordingWriter:
-    """Return the writer of a new recording, under a name that no other process takes at the same time."""
+    """Return the writer of a new recording, under a name that no other process takes at the same time. length: rows to
+    reserve. batch: rows that are written together.
+    """
     if output is not None:
         if force:
             remove_unfinished(output)

@@ -92,7 +92,9 @@ def _normalised(time: Array, value: Array) -> tuple[Array, Array]:
 
 
 def _fitted(time: Array, step: Array, shape: Shape, period: float) -> tuple[float, float]:
-    """Return the squared error of the best response of one shape, and the length of that response."""
+    """Return the squared error of the best response of one shape, and its length, s. step: the readings, scaled to a
+    step from 0 to 1. period: time between two readings, s.
+    """
 
     def error(begin_and_length: Array) -> float:
         begin, length = float(begin_and_length[0]), math.exp(float(begin_and_length[1]))

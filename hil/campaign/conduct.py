@@ -79,8 +79,8 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
 
 
 def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
-    """Record one run. If the heat limit refuses the run, wait until the motor is cool and try once more. Raises TooHot
-    if waiting does not help.
+    """Record one run. If the heat limit refuses the run, wait until the motor is cool and try once more. alarms: alarms
+    so far, in which new ones are stored. Raises TooHot if waiting does not help.
     """
     try:
         return _recorded(plan, run, alarms, desk)

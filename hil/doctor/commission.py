@@ -92,8 +92,8 @@ def commission(checks: CheckList, stand: Stand, mode: Quantity, say: Callable[[s
 
 
 def _repeated(checks: CheckList, stand: Stand, mode: Quantity, named: tuple[str, Try]) -> Trial | None:
-    """Make a trial, once more if the run ended before the trial. Return None if no trial was made: `checks`
-    says why.
+    """Make a trial, once more if the run ended before the trial. named: name and function of the trial. Return None if
+    no trial was made: `checks` says why.
     """
     name, trial = named
     reason = ""

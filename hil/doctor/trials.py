@@ -258,8 +258,8 @@ def _check_counts(info: ServoInfo, mode: Quantity, load: float) -> None:
 
 
 def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases: Phases) -> Trial | None:
-    """Read the drive after its confirmed torque-off. Return `made`; if that is None, return the trial of this
-    torque-off.
+    """Read the drive after its confirmed torque-off. Return `made`, the trial that was made; if that is None, return
+    the trial of this torque-off. phases: the phases of the run.
     """
     off_at = next(t for t, phase in phases.history if phase is Phase.OFF)
     tried.clock.sleep_until(tried.clock.now() + _SETTLES)

@@ -137,7 +137,9 @@ def _has(kinds: Mapping[str, str]) -> str:
 
 
 def _topic(source: Path, kinds: Mapping[str, str], topic: str | None) -> str:
-    """Return the topic to read. Raises WrongUse, with the list of topics, if the topic is missing or not clear."""
+    """Return the topic to read. kinds: the type of each topic. Raises WrongUse, with the list of topics, if the topic
+    is missing or not clear.
+    """
     has = _has(kinds)
     if topic is not None:
         for name in (topic, f"/{topic}"):

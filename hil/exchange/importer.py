@@ -206,7 +206,8 @@ def _held(command: Array) -> Array:
 
 
 def _once(channels: dict[str, Array], rows: Rows) -> tuple[dict[str, Array], Rows, list[str]]:
-    """Remove rows that a logger wrote twice; otherwise they would be used as samples at different times.
+    """Remove rows (of all `channels`) that a logger wrote twice; otherwise they would be used as samples at different
+    times.
 
     If a coarse clock gives many rows the same time, rows with equal readings are not removed: a joint at rest has equal
     readings.

@@ -193,7 +193,9 @@ def _shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> _Shift
 
 
 def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> tuple[Array, float]:
-    """Return each piece's best shift (pieces,), less the best shift of all pieces together, and the latter, s."""
+    """Return each piece's best shift (pieces,), less the best shift of all pieces together, and the latter, s. misfits:
+    function of the shift. shift, width: start and range of the search, s.
+    """
     for _ in range(6):
         less, here, more = (misfits(shift + part * width) for part in (-1.0, 0.0, 1.0))
         slopes, bend = (more - less) / (2.0 * width), float((more + less - 2.0 * here).sum()) / width**2
@@ -206,7 +208,7 @@ def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> t
 
 def _coarse(step: float, time: Array, dtheta: Array, other: Array, torque: Array) -> tuple[float, float]:
     """Return the shift at which deflection and rate explain the largest fraction of the torque's power, and that
-    fraction.
+    fraction. step: resolution of the shift, s. other: the torque's times, s.
     """
     from scipy.signal import correlate
 
@@ -234,7 +236,7 @@ def _filtered(
 ) -> tuple[Array, Array, Callable[..., Array], float]:
     """Return common times (k,), the torque (k,) there, the deflection as a spline, and the highest frequency, Hz.
 
-    One low-pass filter removes from both what lies above their common band.
+    One low-pass filter removes from both what lies above their common band. step: s. other: the torque's times, s.
     """
     from scipy.interpolate import CubicSpline
     from scipy.signal import butter, csd, sosfiltfilt

@@ -119,7 +119,9 @@ def _unit(channel: str, dimension: str, title: str, given: str | None) -> str | 
 
 
 def give(channel: str, dimension: str) -> str:
-    """Return the option that gives the unit of a channel, and the units that it accepts, for a message."""
+    """Return words for a message: the option that gives the unit of a channel, and the units of `dimension` that it
+    accepts.
+    """
     option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
     own = "" if channel == "time" else f" (for counts or volts also the factor to it: --{option}-scale)"
     return f"give it with --{option}-unit, one of {', '.join(units.COMMON[dimension])}{own}"

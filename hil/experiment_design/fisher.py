@@ -234,8 +234,8 @@ class _Residual:
 
 
 def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
-    """Return the residuals of the correct model. The covariance of the signs of Gaussian residuals is 2/pi times the
-    arc sine of the residuals' correlation.
+    """Return the residuals of the correct model for a motion of `count` samples. The covariance of the signs of
+    Gaussian residuals is 2/pi times the arc sine of the residuals' correlation.
     """
     slope, curvature = window.gains(_padded(count))
     turned = joint.stiffness + joint.damping * slope

@@ -109,8 +109,8 @@ class _Search:
                 step = math.sqrt(step)
 
     def _error(self, kind: str, band: tuple[float, float]) -> float:
-        """Return the relative error of Kc or Bc, whichever is larger, over the whole run, at the largest allowed
-        amplitude.
+        """Return the relative error of Kc or Bc, whichever is larger, for an excitation over the whole run at the
+        largest allowed amplitude.
         """
         profile = _largest(self._task, _made(self._task, kind, band, self._span, self._fade))
         motion, _ = respond(self._task.joint, profile, self._task.rate)

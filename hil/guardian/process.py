@@ -152,7 +152,8 @@ class Guardian:
 
     def _stays_still(self, due: int) -> bool:
         """Return whether the guarded process was stopped at this check and at the previous one, without a sign of life
-        in between. One check is not enough: a tracer stops a process briefly.
+        in between. due: when the next sign of life is due, ns. One check is not enough: a tracer stops a process
+        briefly.
         """
         before, self._still_since_due = self._still_since_due, due if self._parent.stands_still() else -1
         return before == due == self._still_since_due

@@ -154,7 +154,7 @@ def _rated(cut: Mapping[str, Sequence[Branch]]) -> float:
     """Return the torque, N m, that is taken as rated: the fraction `_REACHED` of the torque that every test reaches in
     both directions.
 
-    0 if no branch is loading.
+    0 if no branch is loading. cut: the branches of each test.
     """
     reached = []
     for branches in cut.values():
@@ -197,7 +197,9 @@ def _loops(branches: Sequence[Branch]) -> list[tuple[list[Branch], list[Branch]]
 
 
 def _loop(rising: Sequence[Branch], falling: Sequence[Branch], at: float, rated: float) -> dict[str, float]:
-    """Return the measures of one loop; NaN for a measure that the loop does not show."""
+    """Return the measures of one loop; NaN for a measure that the loop does not show. rising, falling: branches of the
+    two strokes. at, rated: torques, N m.
+    """
     up, down = (_joined(stroke) for stroke in (rising, falling))
     middle = [0.5 * (_angle(up, torque) + _angle(down, torque)) for torque in (-at, at)]
     lines = [_line(one, (LINEAR * rated, rated)) for one in (*rising, *falling) if one.loading]

@@ -134,7 +134,7 @@ def _limits(text: str) -> dict[str, float]:
 @contextmanager
 def _screen(*, has_keys: bool, encoding: str) -> Iterator[Callable[[State], object]]:
     """Yield a function that draws a state on standard error. If standard error is no terminal, the function does
-    nothing.
+    nothing. has_keys: whether keys are read. encoding: of the terminal.
     """
     if not sys.stderr.isatty():
         yield lambda _state: None

@@ -85,7 +85,9 @@ def rows_between(source: Path, time: Array, unit: float, first: Any, last: Any) 
 
 
 def _bound(option: str, bound: Any, known: Array, unit: float, spanned: str) -> float:
-    """Return a bound, s. known: the times of the rows, s. spanned: the words for these times. Raises WrongUse."""
+    """Return a bound, s. option: its option, for messages. known: times of the rows, s. spanned: words for them. Raises
+    WrongUse.
+    """
     if not isinstance(bound, str):
         return _number(option, bound, unit, spanned)
     if (found := seconds(bound)) is None:

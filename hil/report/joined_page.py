@@ -118,7 +118,7 @@ def _diagnostics(entries: Sequence[Entry]) -> list[Diagnostic]:
 
 
 def _pictures(at: int, entry: Entry) -> list[Picture]:
-    """Return the first pictures of a recording."""
+    """Return the pictures of a recording's fit. at: number of the recording, for the names of the pictures."""
     if entry.found is None:
         return []
     title = f"{entry.path.name}: {headline(entry.found)}"

@@ -215,9 +215,9 @@ class LongRecording:
         self._columns, self._window = columns.seeing(first)
 
     def glimpse(self, parts: int = 16, rows: int = 1 << 14) -> list[Signals]:
-        """Return some pieces with usable rows, spread evenly over the recording.
+        """Return at most `parts` pieces of `rows` rows, spread evenly over the recording.
 
-        Raises Untrustworthy if there are none.
+        Raises Untrustworthy if no row is usable.
         """
         length = len(self._recording)
         parts = max(1, min(parts, length // rows))  # samples that were seen twice would count as more evidence

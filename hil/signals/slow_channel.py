@@ -295,7 +295,9 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:
-    """Return whether the channel consists of straight lines of a few samples each, also where it bends sharply."""
+    """Return whether the channel consists of straight lines of a few samples each, also where it bends sharply. count:
+    the smallest step of the values.
+    """
     if (np.diff(time) <= 0.0).any():
         return False
     bends = _bends(time, values)

@@ -57,7 +57,7 @@ class Transmission:
         return self.ratio**2 * (self.inertia * acceleration + self.damping * rate)
 
     def deflection(self, motor: Value, joint: Value | float, zero: Zero) -> Value:
-        """Return the deflection, rad, for the angles of motor and joint, rad."""
+        """Return the deflection, rad, for the angles of motor and joint, rad. zero: these angles at rest."""
         return (motor - zero.motor) / self.ratio - (joint - zero.joint)
 
     def rate(self, motor_velocity: Value) -> Value:
@@ -65,7 +65,9 @@ class Transmission:
         return motor_velocity / self.ratio
 
     def commands(self, mode: Quantity, zero: Zero) -> Callable[[float], Command]:
-        """Return the function that converts a set-point at the joint, N m or rad, to a command for the motor."""
+        """Return the function that converts a set-point at the joint, N m or rad, to a command for the motor. zero:
+        angles at rest.
+        """
         ratio, motor = self.ratio, zero.motor
         if mode is Quantity.TORQUE:
             return lambda set_point: Command(mode, set_point / ratio)

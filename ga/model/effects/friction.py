@@ -48,7 +48,7 @@ def _sign(regressors: Regressors) -> tuple[Array, ...]:
 
 def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
     """Return the factor (n,) of the tendon's torque: 1 + mu while the tendon is pulled further, 1 - mu while it is
-    released.
+    released. lag: Bc/Kc, s.
     """
     import numpy as np
 

@@ -92,7 +92,9 @@ def _loaded_at_first(motion: Motion, own: Array) -> Array:
 
 
 def _over(name: str, about: str, kind: Kind) -> Parameter:
-    """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal."""
+    """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal.
+    about: its meaning.
+    """
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
     return searched(name, "rad", about, kind, absent=None, positive=True, starts=starts)
 

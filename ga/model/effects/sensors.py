@@ -39,7 +39,7 @@ def _skew_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], .
 
 
 def _until(longest: float, periods: float) -> Bounds:
-    """Return the bounds of a time, s, that is at most so many of the shortest periods of the motion."""
+    """Return the bounds of a time: 0 to `periods` shortest periods of the motion, but at most `longest`, s."""
     return lambda _motion, highest: ((0.0, min(longest, periods / highest)),)
 
 

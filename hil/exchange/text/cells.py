@@ -98,7 +98,7 @@ class Cells:
         self._groups = False  # whether a number shows that points separate thousands
 
     def number(self, line: int, at: int, cell: str) -> float:
-        """Return the number in a cell; NaN for a missing reading. Raises NotANumber."""
+        """Return the number in a cell; NaN for a missing reading. at: index of the column. Raises NotANumber."""
         text = cell.strip()
         if "." not in text or ("." in self._sure and self._mark == "."):  # it shows nothing new
             with suppress(ValueError):
@@ -122,7 +122,9 @@ class Cells:
         return values.get(self._mark, next(iter(values.values())))
 
     def _going_on(self, at: int, time: float, period: float) -> float:
-        """Return the time of a clock, continued past midnight or past the full hour."""
+        """Return the time of a clock, continued past midnight or past the full hour. at: index of the column. period:
+        s, after which the clock begins anew.
+        """
         if period and math.isfinite(self._last[at]):
             time += period * round((self._last[at] - time) / period)
         self._last[at] = time

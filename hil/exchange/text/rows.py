@@ -130,7 +130,9 @@ class _Damage:
         self.cut_off = False
 
     def note(self, source: Path, line: int, what: str, form: Layout, row: list[str]) -> None:
-        """Count a line, unless it holds no reading. Raises WrongUse for headings in another order."""
+        """Count a damaged line, unless it holds no reading. what: the damage in words. Raises WrongUse for headings in
+        another order.
+        """
         cells = tuple(cell.strip().lstrip("\ufeff") for cell in row)
         if cells not in form.heads and any(len({*cells} & {*head} - {""}) > 1 for head in form.heads):
             raise WrongUse(
@@ -172,7 +174,9 @@ def _rows(source: Path, reader: Reader, above: int) -> Iterator[list[str]]:
 
 
 def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[str]:
-    """Yield the lines. A line with NUL bytes, which a loss of power leaves in a file, becomes an empty line."""
+    """Yield the lines. A line with NUL bytes, which a loss of power leaves in a file, becomes an empty line and is
+    counted in `damage`. above: number of lines above the first.
+    """
     for at, line in enumerate(lines, above + 1):
         if "\0" in line:
             damage.lost.append((at, f"row {at}: NUL bytes, as a disk has after a loss of power"))
@@ -196,7 +200,7 @@ def _open(source: Path, wanted: Collection[str], sheet: str | None, damage: _Dam
 
 
 def _until_cut_off(text: TextIO, damage: _Damage) -> Iterator[str]:
-    """Yield the lines of a file, up to where a compressed one ends before its end mark."""
+    """Yield the lines of a file. If a compressed file ends before its end mark, stop there and note it in `damage`."""
     line = ""
     try:
         for line in iter(partial(text.readline, _LONGEST), ""):

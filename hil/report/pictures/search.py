@@ -224,7 +224,9 @@ def _landscape_panel(found: Identification, spans: tuple[Span, Span], title: str
 def _populations(
     found: Identification, stiffness: float, damping: float, extent: tuple[float, float, float, float]
 ) -> list[Line]:
-    """Return the individuals of the first and of the last generation that are within the landscape."""
+    """Return the individuals of the first and of the last generation within the landscape. stiffness, damping: factors
+    from SI to the printed units. extent: ends of the axes.
+    """
     lines: list[Line] = []
     left, right, low, high = extent
     styles = (("first generation", "soft"), ("last generation", "good"))

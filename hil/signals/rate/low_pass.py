@@ -154,7 +154,7 @@ def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
 
 
 def _stretches(time: Array, step: float) -> list[slice]:
-    """Return the pieces between gaps that are too long to interpolate."""
+    """Return the pieces between gaps that are too long to interpolate. step: time between two samples, s."""
     breaks = np.flatnonzero(np.diff(time) > c.BRIDGED * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
@@ -232,7 +232,9 @@ def _grid(time: Array, low_pass: LowPass) -> Array:
 
 
 def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
-    """Return the weights (k, n) that move readings at uneven stamps (n,) to a grid (k,)."""
+    """Return the weights (k, n) that move readings at uneven stamps (n,) to a grid (k,). near: neighbours on
+    each side.
+    """
     from scipy.sparse import csr_array, vstack
 
     count, width = len(time), 2 * near + 1

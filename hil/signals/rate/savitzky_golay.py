@@ -76,7 +76,9 @@ def _is_even(time: Array) -> bool:
 
 
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
-    """Return the derivative of a polynomial fitted to each window, for stamps that need not be evenly spaced."""
+    """Return the derivative of `order` of a polynomial fitted to each window of `half` neighbours on each side, for
+    stamps that need not be evenly spaced.
+    """
     found = np.empty(len(time))
 
     def fit(first: int, last: int) -> None:
@@ -143,7 +145,9 @@ def gain(half: int, order: int, cycles: float) -> float:
 
 
 def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
-    """Return the widest window, neighbours a side, whose gain at `cycles` periods a sample is 1 within `tolerance`."""
+    """Return the widest window, neighbours on each side, at most `most`, whose gain at `cycles` periods per sample is 1
+    within `tolerance`. order: of the derivative.
+    """
     half = LEAST
     while half < most and abs(gain(half + 1, order, cycles) - 1.0) <= tolerance:
         half += 1

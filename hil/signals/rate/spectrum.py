@@ -90,7 +90,9 @@ class Spectrum:
         return np.where(beyond & (self.density > c.ABOVE_FLOOR * self.floor), self.density - self.floor, 0.0)
 
     def _upper_end(self, excited: Array, share: float) -> float:
-        """Return the frequency, Hz, below which the fraction `share` of the rate's power lies."""
+        """Return the frequency, Hz, below which the fraction `share` of the rate's power lies. excited (n,): density of
+        the motion.
+        """
         power = np.cumsum(excited * self.frequency**2)
         return float(self.frequency[int(np.searchsorted(power, share * power[-1]))])
 

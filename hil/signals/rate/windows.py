@@ -337,8 +337,8 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
 
 
 def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
-    """Return the samples (n,) whose window, `half` neighbours on each side, is centred on the sample and free of
-    gaps.
+    """Return the samples (n,) whose window, `half` neighbours on each side, is centred on the sample and free of gaps.
+    step: time between two samples, s.
     """
     whole = np.zeros(len(time), dtype=bool)
     whole[half : len(time) - half] = time[2 * half :] - time[: -2 * half] <= 3.0 * half * step

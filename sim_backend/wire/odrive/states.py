@@ -31,7 +31,9 @@ class Procedures:
         return self._steps[0] if self._steps else IDLE
 
     def begin(self, state: int, now: float, *, calibrated: bool) -> None:
-        """End the present procedure, and begin the procedures of `state` at `now`, s."""
+        """End the present procedure, and begin the procedures of `state` at `now`, s. calibrated: whether motor and
+        encoder are.
+        """
         running, self._steps = bool(self._steps), []
         if state in {IDLE, CLOSED_LOOP, _STARTUP}:  # no startup procedure is configured
             self.result = CANCELLED if running and state == IDLE else SUCCESS

@@ -164,7 +164,9 @@ class PacketBus:
         return self._timed([(d, self._status(d.line.id, *a)) for d, a in answers if a is not None], now)
 
     def _addressed(self, frame: Frame, awake: list[PacketServo], now: float) -> list[Reply]:
-        """Execute an instruction for one id. A servo whose shadow id this is obeys without a reply."""
+        """Execute an instruction for one id. A servo whose shadow id this is obeys without a reply. awake: servos that
+        have booted.
+        """
         for device in awake:
             if device.line.id != frame.id and device.line.shadow == frame.id:
                 device.answer(frame, now)
@@ -199,8 +201,8 @@ class PacketBus:
         return self._timed(packets, now)
 
     def _fast(self, wanted: list[tuple[int, int, int]], present: dict[int, PacketServo], now: float) -> list[Reply]:
-        """Return the reply to a Fast Read: one status packet to which the servos add their data one after the other. It
-        is not stuffed.
+        """Return the reply to a Fast Read: one status packet, without byte stuffing, to which the servos add their data
+        one after the other. wanted: (id, address, size) of each. present: servos by id.
         """
         length = 1 + sum(size + 4 for _, _, size in wanted)
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
