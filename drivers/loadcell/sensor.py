@@ -104,7 +104,9 @@ class LoadCell:
             wanted = max(self._port.in_waiting, least)
             data = self._port.read(min(wanted, _AT_ONCE)) if wanted else b""
         except GONE as error:
-            raise LinkLost(f"the torque cell on {self._config.port} is gone ({reason_of(error)})") from None
+            raise LinkLost(
+                f"the torque cell on {self._config.port} is gone ({reason_of(error)}): check its cable"
+            ) from None
         now = self._clock.now()
         lines = self._lines.feed(data)
         if lines and not self._in_step:

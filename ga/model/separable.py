@@ -166,7 +166,7 @@ class Problem:
         return self.of(slice(None, None, every)) if (every := len(self.torque) // rows) > 1 else self
 
     def sketched(self) -> Problem:
-        """Return the problem on a few samples of a coarser, still dense enough motion, to find a starting point."""
+        """Return the problem on a few samples of a coarser motion, which is enough to find a starting point."""
         motion, rows = self.motion.coarser(FEW)
         return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
 

@@ -20,7 +20,7 @@ _LARGEST = 4096  # bytes of a file
 class StoredFacts:
     """A file that keeps facts of one kind about one drive or stand between runs.
 
-    kind: name of the folder, for the subject of the facts. words: the names of the drive or stand. path:
+    kind: subject of the facts, and name of their folder. words: the names of the drive or stand. path:
     `$XDG_STATE_HOME/hil/KIND/WORDS.json`. Raises WrongUse if the user has no folder for such files.
     """
 
@@ -41,7 +41,7 @@ class StoredFacts:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            raise WrongUse(f"{self.path} cannot be read ({error.strerror})") from None
+            raise WrongUse(f"{self.path} cannot be read ({error.strerror}): change its permissions") from None
         kept = json.loads(read_text(self.path, largest=_LARGEST))
         if not isinstance(kept, dict):
             raise ValueError("it is no table")

@@ -146,7 +146,7 @@ class Recorder:
         motor = _mean(sample.motor_position for sample in samples)
         joint = _mean(sample.joint_position for sample in samples)
         if not math.isfinite(motor):
-            raise BadReply("the drive reports no position: a deflection cannot be recorded")
+            raise BadReply("the drive reports no position, so no deflection can be recorded: check its encoder")
         if math.ulp(motor) > _RESOLVED * self._limits.deflection * self._transmission.ratio:
             raise BadReply(
                 f"the drive reports {motor:.3g} rad at rest, too far from zero to resolve a deflection: home the drive"

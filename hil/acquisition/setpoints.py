@@ -39,7 +39,9 @@ class SetPoints:
     def extend(self, values: Array) -> None:
         """Append the set-points `values` (n,). Raises WrongUse if a value is not finite, or the disk is full."""
         if not np.isfinite(values).all():
-            raise WrongUse("the profile has a set-point that is not a number: nothing was driven")
+            raise WrongUse(
+                "the profile has a set-point that is not a number, so nothing was driven: correct --setpoints"
+            )
         data = values.astype(np.float64).tobytes()
         with writing(self._folder):
             if self._file.write(data) != len(data):

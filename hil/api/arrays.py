@@ -51,7 +51,7 @@ def _numbers(name: str, values: Any) -> NDArray[np.float64]:
         try:
             values = values.to(unit).magnitude
         except Exception as error:  # noqa: BLE001 - a unit of the caller's own registry
-            raise WrongUse(f"{name} cannot be expressed in {unit}: {error}") from None
+            raise WrongUse(f"{name} cannot be converted to {unit} ({error}): give it in {unit}") from None
     array = np.ma.asarray(values)
     if array.ndim != 1:
         raise WrongUse(f"{name} has the shape {array.shape}: give one value a sample, an array of the shape (n,)")

@@ -31,7 +31,7 @@ def weight(text: str, arm: float | None) -> Load:
     """Return the load of a mass, such as "0.2" (kg) or "200g", on a lever of length `arm`, m. Raises WrongUse."""
     mass, _ = quantity(text, "mass")
     if arm is None:
-        raise WrongUse("a mass is a torque only on a lever: give its length with --arm, in m, or with its unit (50mm)")
+        raise WrongUse("a mass makes a torque only on a lever: give the lever's length, such as --arm 50mm")
     return Load(mass * GRAVITY * arm, None, f"the weight {mass:g} kg")
 
 
@@ -51,7 +51,7 @@ def read_points(path: Path, arm: float | None) -> list[Load]:
     if kind is None:
         raise WrongUse(f"{path} has no column mass or torque: its heading is {','.join(rows[0])}")
     if kind == "mass" and arm is None:
-        raise WrongUse(f"{path} has masses, which are torques only on a lever: give its length with --arm, in m")
+        raise WrongUse(f"{path} has masses, which make a torque only on a lever: give its length, such as --arm 50mm")
     title = rows[0][columns[kind]]
     unit = unit_of(title, kind) or bracketed_text(title)
     scale = factor(kind, unit) if unit else 1.0

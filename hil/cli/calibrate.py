@@ -78,7 +78,7 @@ def torque(
     if given is None and yes:
         raise WrongUse("with --yes no weights are asked for: give them with --points FILE.csv")
     if given is None and arm is None:
-        raise WrongUse("a weight is a torque only on a lever: give its length with --arm, such as --arm 50mm")
+        raise WrongUse("a weight makes a torque only on a lever: give the lever's length, such as --arm 50mm")
     _wait("leave the lever in place without a weight; the cell is tared", yes=yes)
     with opened_cell(opened, clock) as cell:
         if given is None:

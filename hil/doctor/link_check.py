@@ -71,7 +71,7 @@ def check_readings(checks: CheckList, stand: Stand, samples: list[Sample]) -> bo
     position, torque, joint, temperature, voltage = np.array([[getattr(s, name) for name in names] for s in samples]).T
     source = stand.stand.torque_source
     if not np.isfinite(position).all():
-        checks.failed("readings", "the drive reports no position: a deflection cannot be recorded")
+        checks.failed("readings", "the drive reports no position, so no deflection can be recorded: check its encoder")
         return False
     if not np.isfinite(joint if source == "joint" else torque).any():
         remedy = ": add [joint_sensor]" if source == "joint" else ""

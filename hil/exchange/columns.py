@@ -121,7 +121,7 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
     inside = re.match(r"(.+?)\[[:,\d]+\]", name)
     if inside and any(title.startswith(f"{inside[1]}.") for title in known):
         raise WrongUse(
-            f"{source}: the values of {inside[1]!r} stand beside names, whose order changes from start to start, so "
+            f"{source}: the values of {inside[1]!r} belong to names, whose order changes from start to start, so "
             f"an index may read another joint: choose by name; it has {headings.listed(known)}"
         )
     raise WrongUse(f"{source} has no column {name!r}; {meant(name, known)}it has {headings.listed(known)}")

@@ -38,7 +38,7 @@ def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) ->
     if has(text):
         return [Term(text, None, 1.0)]
     if len(text) > _LONGEST:
-        raise WrongUse(f"{text[:40]!r}... has {len(text)} characters, and may have {_LONGEST}: {_GRAMMAR}")
+        raise WrongUse(f"{text[:40]!r}... has {len(text)} characters, more than {_LONGEST}: {_GRAMMAR}")
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, MemoryError, RecursionError):

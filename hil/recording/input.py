@@ -40,7 +40,7 @@ def open_input(path: Path, *, largest: int) -> BufferedReader:
             raise WrongUse(f"{path} is empty: check that it was written to the end, or name another file")
         if found.st_size > largest:
             raise WrongUse(
-                f"{path} has {found.st_size / 1e6:.0f} MB and may have {largest / 1e6:.0f} MB: check the name"
+                f"{path} has {found.st_size / 1e6:.0f} MB, more than the allowed {largest / 1e6:.0f} MB: check the name"
             )
         return os.fdopen(file, "rb")
     except BaseException:

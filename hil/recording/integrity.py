@@ -192,7 +192,7 @@ def open_file(path: Path) -> h5py.File:
         try:
             return h5py.File(path, "r")
         except PermissionError:
-            raise WrongUse(f"{path} cannot be opened (permission denied)") from None
+            raise WrongUse(f"{path} cannot be opened (permission denied): change the file's permissions") from None
         except OSError as error:
             hint = (
                 "it has no row that can be read, and `hil record --force` replaces it"

@@ -303,7 +303,9 @@ class Recording:
         try:
             return self._file[name][start:stop]
         except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            raise Untrustworthy(f"{self.path}: {name} is damaged and cannot be read ({first_line(error)})") from error
+            raise Untrustworthy(
+                f"{self.path}: {name} is damaged and cannot be read ({first_line(error)}): use another copy"
+            ) from error
 
     def _group(self, name: str) -> h5py.Group:
         group = self._file.get(name)

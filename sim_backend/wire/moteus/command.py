@@ -40,7 +40,7 @@ class Command:
         self.forget()
 
     def clear(self) -> None:
-        """Set every command register to the value that it has if a frame does not write it."""
+        """Set every command register to its default, the value that it has if a frame does not write it."""
         self.values = dict(UNSET)
 
     def forget(self) -> None:

@@ -99,7 +99,7 @@ def test_the_numbers_of_a_joint_are_found_in_whatever_order_the_joints_are_sent(
 def test_without_a_joint_each_number_has_the_names_in_its_path_and_no_index(tmp_path: Path) -> None:
     numbers = read(states("thumb"), states("finger", "thumb")).values
     np.testing.assert_array_equal(numbers["interface_values.finger.values.effort"], [np.nan, 0.1])
-    with pytest.raises(WrongUse, match=r"stand beside names, whose order changes .*: choose by name"):
+    with pytest.raises(WrongUse, match=r"belong to names, whose order changes .*: choose by name"):
         place(tmp_path, list(numbers), "interface_values[0].values[0]")
 
 
