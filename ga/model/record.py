@@ -159,13 +159,15 @@ class Mark:
 class Term:
     """One effect that a model of the coupling can have: a record in `ga.model.terms.TERMS`.
 
-    meaning: text for the help. role: the kind of effect. equation: the torque that the term adds, in the deflection x,
-    its rate v and the time t; after a comma, where its other symbols come from. For a term without columns, what it
-    changes. columns: functions that return (n,), N m per unit of each linear parameter, in order. rates: functions that
-    return the time derivatives of the columns, per second, for the motion's time derivative (second argument); None: of
-    one column that depends on the deflection alone, or not on the motion. pushed: the change of the term's torque (n,),
-    N m, when the deflection changes by the third argument (n,), rad, for given linear parameters. bounds: low and high
-    of each nonlinear parameter, for motion up to a frequency, Hz.
+    meaning: text for the help. role: the kind of effect.
+    equation: the torque that the term adds, in the deflection x, its rate v and the time t; after a comma, where its
+      other symbols come from. For a term without columns, what it changes.
+    columns: functions that return (n,), N m per unit of each linear parameter, in order.
+    rates: functions that return the time derivatives of the columns, per second, for the motion's time derivative
+      (second argument); None: of one column that depends on the deflection alone, or not on the motion.
+    pushed: the change of the term's torque (n,), N m, when the deflection changes by the third argument (n,), rad, for
+      given linear parameters.
+    bounds: low and high of each nonlinear parameter, for motion up to a frequency, Hz.
 
     A term with bounds does one of these:
     - it delays the motion by its parameter;
@@ -179,22 +181,27 @@ class Term:
     load: returns the factor (n,) of the carried torque, for the same arguments, v_s and the term's parameters.
     spares_dampers: whether dampers are not part of that torque, because they act in parallel to the parts that rub.
     forgets: for a torque that depends on earlier samples, returns the weight (n,) that the unknown state at the
-    beginning of its piece still has at each sample, for a motion and the term's parameters. smooths: whether its
-    parameter is v_s of all friction, rad/s; without such a term v_s is so small that friction reverses at once. needs:
-    the term without which it has no meaning. or_needs: other terms, of which one is enough instead. excludes: the terms
-    that it cannot be combined with, and why. bends: whether its torque is no linear filter of the motion, and so
-    changes under a filter of torque and motion. breaks: whether its torque has breaks; such a term has small prior
-    odds, because it fits much by chance. confusable: terms beside which this term must improve the score as much as one
-    with breaks, because it resembles a part of them. sticks: whether friction of the term holds the joint where it is
-    slow. open: returns the deflections, rad, between which a gap with the term's parameters is open. bench: whether
-    every bench may have a little of the effect ("small"), or has it ("always"). Such terms are part of the average over
-    models. A term that every bench has costs no prior odds. seldom: whether its prior odds are smaller than those of
-    its class. repeats: whether only a motion that repeats shows the effect. deviation: returns the torque (n,), up to a
-    factor, by which a real joint departs from the term's law, for a motion and the model's columns and values by
-    parameter. mark: what the residuals show if the model lacks the term. selection: its prior class. Model selection
-    begins with a "smallest" term, at no cost. It expects a "considered" (common) term in one joint of two, a "motor
-    torque" or "misfit" (rare) term in one of ten. A "misfit" term must also have strong evidence. It never considers a
-    "named" term.
+      beginning of its piece still has at each sample, for a motion and the term's parameters.
+    smooths: whether its parameter is v_s of all friction, rad/s; without such a term v_s is so small that friction
+      reverses at once.
+    needs: the term without which it has no meaning. or_needs: other terms, of which one is enough instead.
+    excludes: the terms that it cannot be combined with, and why.
+    bends: whether its torque is no linear filter of the motion, and so changes under a filter of torque and motion.
+    breaks: whether its torque has breaks; such a term has small prior odds, because it fits much by chance.
+    confusable: terms beside which this term must improve the score as much as one with breaks, because it resembles a
+      part of them.
+    sticks: whether friction of the term holds the joint where it is slow.
+    open: returns the deflections, rad, between which a gap with the term's parameters is open.
+    bench: whether every bench may have a little of the effect ("small"), or has it ("always"): such terms are in the
+      average over models. A term that every bench has costs no prior odds.
+    seldom: whether its prior odds are smaller than those of its class.
+    repeats: whether only a motion that repeats shows the effect.
+    deviation: returns the torque (n,), up to a factor, by which a real joint departs from the term's law, for a motion
+      and the model's columns and values by parameter.
+    mark: what the residuals show if the model lacks the term.
+    selection: its prior class. Model selection begins with a "smallest" term, at no cost. It expects a "considered"
+      (common) term in one joint of two, a "motor torque" or "misfit" (rare) term in one of ten. A "misfit" term must
+      also have strong evidence. It never considers a "named" term.
     """
 
     name: str

@@ -3,14 +3,16 @@
 Layout of a finished file (all numbers little-endian, SI)::
 
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
-    command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples), sha256_stored (of the
-    samples as compressed), sha256_header (of the rest), lateness_p50, lateness_p99, lateness_max (s, of the set-points;
-    NaN for other data), missed (ticks that were skipped) /samples/        one 1-D dataset a channel, equal length,
-    attrs unit and description: see hil.recording.channels; torque and joint_torque are one dataset with two names where
-    they are equal /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint),
-    duration (s), band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate (Hz);
-    of an import: kind, source, where /events/         time (s), code, message /truth/          attrs, only from a
-    simulator: the true Kc, Bc, ...; never read by identification
+                     command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples),
+                     sha256_stored (of the stored bytes), sha256_header (of the rest), lateness_p50, lateness_p99,
+                     lateness_max (s, of the set-points; NaN for other data), missed (ticks that were skipped)
+    /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels;
+                     torque and joint_torque are one dataset with two names where they are equal
+    /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
+                     band_low, band_high (Hz), fade (s, at each end), seed, setpoints (the CSV of kind "file"), rate
+                     (Hz); of an import: kind, source, where
+    /events/         time (s), code, message
+    /truth/          attrs, only from a simulator: the true Kc, Bc, ...; never read by identification
 
 Three hashes tell whether the file was changed; `hil.recording.integrity` computes them:
 
