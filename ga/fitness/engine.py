@@ -99,7 +99,7 @@ def errors_of(
 
 
 def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
-    """Return the engine in the form that the compiled loops take."""
+    """Return (samples, None) or (None, tree), as the compiled loops take the engine."""
     return (engine, None) if isinstance(engine, Samples) else (None, engine)
 
 

@@ -241,7 +241,9 @@ class CouplingModel:
 
     @cached_property
     def _places(self) -> tuple[tuple[Term, slice], ...]:
-        """Return each term that has nonlinear parameters, with the slice of these parameters in the model's (q,)."""
+        """Return each term that has nonlinear parameters, with the slice of its parameters in the model's
+        values (q,).
+        """
         found, at = [], 0
         for term in self.terms:
             count = sum(parameter.nonlinear for parameter in term.parameters)
@@ -250,7 +252,7 @@ class CouplingModel:
         return tuple(found)
 
     def _valued(self, nonlinear: Array | None) -> list[tuple[Term, Array]]:
-        """Return each term that has nonlinear parameters, with their values out of the model's (q,)."""
+        """Return each term that has nonlinear parameters, with its own values from the model's values (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
     def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: Seen | None = None) -> Seen:
@@ -318,7 +320,7 @@ class CouplingModel:
         return Regressors(elapsed, seen, angle, contact, load, damped, softness, middle, np.empty(0), key)
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
-        """Yield each term, whether its torque is no linear filter of the motion, and its values out of (q,).
+        """Yield each term, whether its torque is no linear filter of the motion, and its values from (q,).
 
         Without given parameters, only terms without nonlinear parameters are returned.
         """

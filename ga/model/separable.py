@@ -211,7 +211,7 @@ def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = Ma
 
 
 def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the fit `found` or, if a contained model is better, the local minimum next to that model's fit.
+    """Return the fit `found` or, if a model contained in its model is better, the local minimum next to that fit.
 
     near: the nonlinear parameters of a smaller model's fit, by name.
     """

@@ -1,7 +1,7 @@
 """The table of coupling terms, found in the modules of `ga.model.effects`, and the names of models.
 
-The table is in the order of the roles, in a role common terms come before rare ones, and of these the records in the
-order of the modules and of their lines.
+The table is ordered by role. Within a role, common terms come before rare terms; terms that are equal in this have the
+order of their modules, and of their lines in a module.
 """
 
 from __future__ import annotations

@@ -101,7 +101,7 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for another process, without what is cached: functions cannot be sent."""
+        """Return the state for pickling, without cached functions, which cannot be pickled."""
         state = {name: value for name, value in self.__dict__.items() if name != "_filters"}
         return state | {name: {} for name in ("_late", "_begun", "_columns", "_parts")}
 
@@ -149,7 +149,7 @@ class Motion:
         )
 
     def alone(self, rows: NDArray[np.int64], starts: Sequence[int]) -> Motion:
-        """Return a whole motion of the samples `rows` (n,) only. starts: the first sample of each of its pieces."""
+        """Return a new motion of the samples `rows` (n,) only. starts: the first sample of each of its pieces."""
         parts = {name: getattr(self, name)[rows] for name in ("time", *_PARTS)}
         return replace(self, **parts, starts=tuple(starts), part_of=None)
 

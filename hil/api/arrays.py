@@ -1,4 +1,6 @@
-"""Arrays in place of a recording: they are written into a recording of this process, and read as any other."""
+"""Arrays in place of a recording: they are written into a recording of this process, which is read like any other
+recording.
+"""
 
 from __future__ import annotations
 

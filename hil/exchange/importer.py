@@ -310,7 +310,7 @@ def _check_channels(columns: Mapping[str, Column], stand: Stand | None) -> None:
         if joint not in columns and motor not in columns:
             raise WrongUse(f"name the columns: {options[0]}, or {options[1]} with --stand, is missing")
         if motor in columns and stand is None:
-            raise WrongUse(f"{options[1]} needs --stand: its gear_ratio brings the motor's side to the joint")
+            raise WrongUse(f"{options[1]} needs --stand: its gear_ratio converts motor values to the joint")
     if stand is not None and "motor_torque" in columns and stand.stand.torque_source != "motor":
         raise WrongUse('the stand has torque_source = "joint": name the torque cell\'s column with --torque')
     for channel, column in columns.items():

@@ -23,12 +23,12 @@ _CUBIC = difference(4)
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
-    """Return the angle (n,), rad, without jumps by the range of its encoder, and the number of jumps removed.
+    """Return the angle (n,), rad, without the jumps at the end of its encoder's range, and the number of these jumps.
 
-    torque (n,): N m. If all steps are small after whole turns are subtracted, the angle passes the end of a turn,
-    however often. Otherwise a step is a jump only if all steps larger than a tenth of the largest are equal. The jump
-    is certain only for a turn or half a turn, or if several jumps lead from one end of the readings to the other while
-    the torque is continuous: behind a gear, the encoder's range can have any size.
+    torque (n,): N m. If all steps are small after whole turns are subtracted, every large step is a jump by a turn.
+    Otherwise a step is a jump only if all steps larger than a tenth of the largest are equal. The jump is certain only
+    for a turn or half a turn, or if several jumps lead from one end of the readings to the other while the torque is
+    continuous: behind a gear, the encoder's range can have any size.
     """
     steps = np.diff(angle)
     whole = np.round(steps / c.TURN)

@@ -25,9 +25,9 @@ TEXT, WORKBOOK = "text", "workbook"
 class _Format(NamedTuple):
     """A kind of file.
 
-    reader: module of this folder. magic: bytes at the beginning of each file of the kind. suffixes: of their names, in
-    small letters. needs: package and extra of hil that it needs, if hil does not depend on it. both: whether the magic
-    alone is not enough.
+    reader: module of this folder. magic: bytes at the beginning of each file of the kind. suffixes: of the files'
+    names, in lower case. needs: package and extra of hil that it needs, if hil does not depend on it. both: whether the
+    magic alone is not enough.
     """
 
     name: str

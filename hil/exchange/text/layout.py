@@ -159,8 +159,8 @@ def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[s
     """Yield each way to split a line into names, none of them a number: the names, whether there are `fields` names,
     and the delimiter.
 
-    Names beyond `fields` are dropped, because some loggers name a column "Comment" and do not fill it. A line of words
-    between spaces with too many words is no line of names.
+    Names beyond `fields` are dropped, because some loggers name a column "Comment" and do not fill it. A line with more
+    words, separated by spaces, than `fields` is no line of names.
     """
     without = COMMENT.sub("", line)
     for text in dict.fromkeys((without, line)):

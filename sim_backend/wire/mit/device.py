@@ -50,9 +50,9 @@ _AK_HOTTEST = 100.0
 class MitDevice:
     """An emulated motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
-    reply_id: the CAN identifier of the replies; None: that of a new motor: its own id for an AK, 0 for a Damiao. servo:
-    whether an AK is in servo mode, which is chosen with the vendor's tool. Raises KeyError for a model that is not in
-    the table.
+    reply_id: the CAN identifier of the replies; None: as in a new motor, the motor's id for an AK and 0 for a Damiao.
+    servo: whether an AK is in servo mode, which is chosen with the vendor's tool. Raises KeyError for a model that is
+    not in the table.
     """
 
     def __init__(
