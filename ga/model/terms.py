@@ -105,7 +105,7 @@ def canonical(name: str) -> str:
 def is_addable(term: str, terms: Collection[str]) -> bool:
     """Return whether a term can be added to a model of these terms.
 
-    It cannot if the model has the term or one that excludes the term, or lacks a term that it needs.
+    It cannot if the model has the term already, has a term that excludes it, or lacks a term that it needs.
     """
     return term not in terms and not lacking(term, terms) and not any(_excluded(term, other) for other in terms)
 

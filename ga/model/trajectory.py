@@ -129,7 +129,7 @@ class Motion:
 
     @property
     def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
-        """Return the larger motion that this one is a part of, or this one itself, and the rows of this one in it."""
+        """Return the whole motion that contains this motion, and the rows of this motion in the whole one."""
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:

@@ -114,7 +114,7 @@ def _value(text: str, *, is_pair: bool) -> str:
 
 @cache
 def _grammar() -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """Return the patterns of an option with its value, and of options alone or in a command of hil.
+    """Return two regular expressions: for an option with its value, and for options alone or in a command of hil.
 
     A value is a number, a range, a quoted text, a file, a name that an option takes or several of them ("dahl or
     boucwen"), or a word before a colon ("--model x: unknown"). Any other word belongs to the sentence.

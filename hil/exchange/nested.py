@@ -1,4 +1,5 @@
-"""Columns from nested rows, as messages and lines of JSON are: each value has a path, of fields and of names beside it.
+"""Columns from nested rows, as messages and lines of JSON are: each value has a path of fields and of names that stand
+beside it.
 
 The order of the joints in a message changes from start to start. So where a list of names stands beside the values, as
 in a DynamicJointState, a value is found by its name; it has no index.

@@ -80,8 +80,8 @@ class Signals:
 
     @cached_property
     def smooth(self) -> NDArray[np.bool_]:
-        """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it
-        does depend on it.
+        """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jump of
+        the acceleration it depends on the window.
         """
         return is_smooth(self.motion, self.window)
 

@@ -1,1 +1,3 @@
-"""Readers of tables in binary files and JSON: one module for each family of formats, over the library that keeps it."""
+"""Readers of tables in binary files and JSON: one module for each family of formats, which calls the library for these
+formats.
+"""

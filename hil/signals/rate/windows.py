@@ -346,8 +346,8 @@ def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
 
 
 def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
-    """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it does
-    depend on it.
+    """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jump of the
+    acceleration it depends on the window.
 
     window: the window that was used, if known. Only somewhat wider windows are compared with it, because much wider
     ones give another rate even where the rate is right. Two differences are ignored: noise of the deflection, which a
