@@ -11,6 +11,7 @@ import os
 import socket
 import sys
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from can.interfaces.udp_multicast import UdpMulticastBus
@@ -22,6 +23,8 @@ PORT = 43113
 """The UDP port of the multicast group, which is python-can's default."""
 _OWN_GROUP = ((socket.IPPROTO_IP, 49), (socket.IPPROTO_IPV6, 29))
 """IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, linux/in.h and linux/in6.h."""
+_SOCKETS = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+"""Where Linux lists the UDP sockets of this computer: those of IPv4 and of IPv6."""
 _LIFETIME = 1.0
 """s after which a sent frame that did not come back is forgotten."""
 
@@ -58,11 +61,20 @@ class MulticastBus(UdpMulticastBus):
 
     def __init__(self, channel: str) -> None:
         self._own = OwnFrames()
+        self._sockets = _SOCKETS[":" in channel]
         super().__init__(channel, port=PORT, hop_limit=0, fd=True)  # a hop limit of 1, the default, leaves this machine
         if sys.platform == "linux":  # whose sockets receive every group that any program of this computer has joined
             level, option = _OWN_GROUP[":" in channel]
             with socket.socket(fileno=os.dup(self.fileno())) as same:
                 same.setsockopt(level, option, 0)
+
+    def is_heard(self) -> bool:
+        """Return whether another program has a bus of this kind open; True if the system does not tell."""
+        try:
+            sockets = self._sockets.read_text(encoding="ascii").count(f":{PORT:04X} ")
+        except OSError:
+            return True
+        return sockets != 1
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a frame. Raises can.CanError."""

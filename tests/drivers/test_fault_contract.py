@@ -148,13 +148,11 @@ def odrive_ages(rig: Rig, _servo: Any) -> Fresh:
     """Every estimate of the position is a number of its own, as for the drives below."""
     made: list[float] = []
 
-    messages: Callable[[], dict[int, bytes]] = rig.device._messages
-
-    def numbered() -> dict[int, bytes]:
+    def numbered() -> bytes:
         made.append(rig.clock.now())
-        return messages() | {0x09: struct.pack("<ff", float(len(made)), 0.0)}
+        return struct.pack("<ff", float(len(made)), 0.0)
 
-    rig.device._messages = numbered
+    rig.device._message[0x09] = numbered
     return lambda sample: made[round(sample.motor_position / TURN) - 1] >= sample.t - 1e-3  # one that came unasked
 
 

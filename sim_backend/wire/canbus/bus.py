@@ -73,8 +73,7 @@ class CanBus:
     def advance(self, now: float) -> list[CanDelivery]:
         """Simulate every drive up to `now` and return the frames that the drives sent without a request meanwhile."""
         out: list[CanDelivery] = []
-        while self.due() <= now:
-            at = self.due()
+        while (at := self.due()) <= now:
             for node in self.nodes:
                 if node.due() <= at:
                     out += [delivery for frame in node.unasked(at) for delivery in self._sent(frame, at)]

@@ -4,6 +4,7 @@ or on an adapter.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ class CanServer:
     def __init__(self, interface: str, channel: str, bus: CanBus) -> None:
         self.lock = threading.Lock()
         self._bus = bus
-        self._wire = _opened(interface, channel)
+        self._wire, self._is_heard = _opened(interface, channel)
         self._arrivals = Arrivals[CanFrame]()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"CAN {channel}")
@@ -74,25 +75,33 @@ class CanServer:
             self._wire.shutdown()
 
     def _run(self) -> None:
-        step = _STEP
+        """Serve. While nobody hears the bus, what the drives send is lost, as on a bus where nobody acknowledges it."""
+        step, heard, looked = _STEP, True, -math.inf
         while not self._stopping.is_set() and not self._bus.unplugged:
-            next_ = min(self._arrivals.next(), self._bus.due())
+            next_ = min(self._arrivals.next(), self._bus.due()) if heard else math.inf
             message = self._wire.recv(max(0.0, min(step, next_ - self.now())))
             step = _STEP if message is not None else min(2.0 * step, _LONGEST_STEP)
             with self.lock:
+                if not heard:
+                    self._bus.advance(self.now())  # what the drives sent until now is lost
+                if message is not None or self.now() >= looked + _LONGEST_STEP:
+                    heard, looked = message is not None or self._is_heard(), self.now()
                 if message is not None and not message.is_error_frame:
                     self._arrivals.add(self._bus.receive(from_message(message), self.now()))
                 self._arrivals.add(self._bus.advance(self.now()))
             for frame in self._arrivals.until(self.now()):
-                self._wire.send(to_message(frame))
+                if heard:
+                    self._wire.send(to_message(frame))
 
 
-def _opened(interface: str, channel: str) -> can.BusABC:
+def _opened(interface: str, channel: str) -> tuple[can.BusABC, Callable[[], bool]]:
+    """Return the bus, and a function that returns whether another program has it open."""
     if interface == "udp_multicast":
         from drivers.canbus.multicast import MulticastBus
 
-        return MulticastBus(channel)
-    return can.Bus(interface=interface, channel=channel, ignore_config=True)
+        bus = MulticastBus(channel)
+        return bus, bus.is_heard
+    return can.Bus(interface=interface, channel=channel, ignore_config=True), lambda: True
 
 
 class CanDrive(CanNode, Watched, Protocol):

@@ -29,6 +29,8 @@ from sim_backend.wire.odrive.states import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.torque_log import WatchdogState
 
@@ -90,6 +92,7 @@ class OdriveDevice:
         """Whether a request for the state idle is accepted but not carried out: a fault for tests."""
         self.calibrated = True
         self._powered = now
+        self._message = self._messages()
         self._start(now)
 
     def _start(self, now: float) -> None:
@@ -134,12 +137,12 @@ class OdriveDevice:
             if self._next[kind] <= now:
                 self._next[kind] += self._period(kind)
                 if math.isfinite(self._next[kind]):
-                    out.append(self._frame(command, self._messages()[command]))
+                    out.append(self._frame(command, self._message[command]()))
         if self._nameless:
             out = []
         if self._introduces <= now:
             self._introduces = math.inf
-            out.append(self._frame(_ADDRESS, self._messages()[_ADDRESS]))
+            out.append(self._frame(_ADDRESS, self._message[_ADDRESS]()))
         return out if now >= self._ready else []
 
     @property
@@ -213,7 +216,8 @@ class OdriveDevice:
         """Return the reply to a frame without data. A command without parameters is executed."""
         if command in {_ESTOP, _REBOOT, _CLEAR}:
             self._obey(command, bytes(8), now)
-        data = self._messages().get(command) if command != _CYCLIC["heartbeat"] else None
+        message = self._message.get(command) if command != _CYCLIC["heartbeat"] else None
+        data = None if message is None else message()
         if data is not None and self._nameless:
             # several without an id would all answer with the same identifier
             self._introduces = now + self.serial % 997 * 5e-5 if command == _ADDRESS else self._introduces
@@ -236,31 +240,46 @@ class OdriveDevice:
 
     # -- what it is asked -------------------------------------------------------------------------------------------
 
-    def _messages(self) -> dict[int, bytes]:
-        """Return the data of all messages that the axis can send, by command number."""
+    def _messages(self) -> dict[int, Callable[[], bytes]]:
+        """Return a function for each message of the axis, which returns its data, by command number."""
         floats, motor = _FLOATS.pack, self.motor
-        counts, volts = round(self._turns() * COUNTS), self.endpoints.get("vbus_voltage")
-        current = round(motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
-        power = 0.06 * current**2 + motor.torque * motor.velocity
         modern = self.layout == "0.6"
+
+        def counts() -> int:
+            return round(self._turns() * COUNTS)
+
+        def current() -> float:
+            return round(motor.torque / TORQUE_CONSTANT / CURRENT_LSB) * CURRENT_LSB
+
+        def power() -> float:
+            return 0.06 * current() ** 2 + motor.torque * motor.velocity
+
+        def supply() -> bytes:
+            volts = self.endpoints.get("vbus_voltage")
+            return floats(volts, power() / volts)
+
         shared = {
-            0x03: struct.pack("<II", self.errors, self.disarm_reason if modern else 0),
-            0x09: floats(counts / COUNTS, motor.velocity / TURN),
-            0x14: floats(motor.demand / TORQUE_CONSTANT, current),
-            0x17: floats(volts, power / volts),
+            0x03: lambda: struct.pack("<II", self.errors, self.disarm_reason if modern else 0),
+            0x09: lambda: floats(counts() / COUNTS, motor.velocity / TURN),
+            0x14: lambda: floats(motor.demand / TORQUE_CONSTANT, current()),
+            0x17: supply,
         }
         if not modern:
-            silent = dict.fromkeys((0x04, 0x05, 0x15, 0x1D), bytes(8))  # errors that it has no words for; no estimator
-            faults = bool(self.errors & 0x40), 0, 0x80 | bool(self.errors & 0x200)  # of motor, encoder, controller
-            own = {0x01: struct.pack("<IBBBB", self.errors, self.state, *faults)}
-            return shared | silent | own | {0x0A: struct.pack("<ii", counts, counts % COUNTS)}
+
+            def heartbeat() -> bytes:  # with faults of motor, encoder, controller
+                faults = bool(self.errors & 0x40), 0, 0x80 | bool(self.errors & 0x200)
+                return struct.pack("<IBBBB", self.errors, self.state, *faults)
+
+            silent = dict.fromkeys((0x04, 0x05, 0x15, 0x1D), lambda: bytes(8))  # errors without words; no estimator
+            own = {0x01: heartbeat, 0x0A: lambda: struct.pack("<ii", counts(), counts() % COUNTS)}
+            return shared | silent | own
         return shared | {
-            0x01: struct.pack("<IBBBB", self.errors, self.state, self._procedures.result, 1, 0),
-            0x00: bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0]),
-            _ADDRESS: bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0",
-            0x15: floats(motor.temperature, motor.temperature),
-            0x1C: floats(motor.demand, current * TORQUE_CONSTANT),
-            0x1D: floats(power, motor.torque * motor.velocity),
+            0x01: lambda: struct.pack("<IBBBB", self.errors, self.state, self._procedures.result, 1, 0),
+            0x00: lambda: bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0]),
+            _ADDRESS: lambda: bytes([self.ident]) + self.serial.to_bytes(6, "little") + b"\0",
+            0x15: lambda: floats(motor.temperature, motor.temperature),
+            0x1C: lambda: floats(motor.demand, current() * TORQUE_CONSTANT),
+            0x1D: lambda: floats(power(), motor.torque * motor.velocity),
         }
 
     def _turns(self) -> float:

@@ -12,9 +12,11 @@ import pytest
 
 from drivers.canbus.link import BusConfig, open_interface
 from drivers.canbus.multicast import MulticastBus, OwnFrames
+from drivers.clock import VirtualClock
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.serve import CanServer
 from sim_backend.wire.mit.device import MitDevice
+from sim_backend.wire.odrive.device import OdriveDevice
 
 GROUP = f"239.74.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF}"
 """Of this process alone: another suite may run on the same machine."""
@@ -97,3 +99,37 @@ def test_frames_that_differ_in_anything_are_not_taken_for_each_other() -> None:
     for change in ({"arbitration_id": 2}, {"data": bytes(8)}, {"is_extended_id": True}, {"is_fd": True}):
         fields: dict[str, Any] = {"arbitration_id": 1, "data": bytes(ENABLE.data), "is_extended_id": False} | change
         assert not own.has(can.Message(**fields), 0.0)
+
+
+def test_a_drive_that_nobody_hears_sends_nothing_and_its_emulator_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, heard = VirtualClock(), False
+    waits: list[float] = []
+    sent: list[can.Message] = []
+
+    class Wire:
+        def recv(self, timeout: float) -> None:
+            waits.append(timeout)
+            clock.sleep_until(clock.now() + max(timeout, 1e-5))
+            nonlocal heard
+            heard = clock.now() > 5.0
+            if clock.now() > 10.0:
+                server.stop()
+
+        def send(self, message: can.Message) -> None:
+            sent.append(message)
+
+        def shutdown(self) -> None: ...
+
+    monkeypatch.setattr("sim_backend.wire.canbus.serve._opened", lambda *_: (Wire(), lambda: heard))
+    server = CanServer("udp_multicast", GROUP, CanBus([OdriveDevice(0)]))
+    monkeypatch.setattr(server, "now", clock.now)
+    server.serve()
+    assert 500 < len(sent) < 560  # a position every 10 ms and a heartbeat every 100 ms, in the last 5 s
+    assert sum(waits[:30]) > 4.0
+
+
+@pytest.mark.usefixtures("client")
+def test_a_bus_knows_whether_anybody_else_has_it_open() -> None:
+    ours = MulticastBus(GROUP)
+    assert ours.is_heard()
+    ours.shutdown()
