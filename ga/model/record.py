@@ -55,9 +55,10 @@ class Parameter:
     is searched; a linear parameter is computed exactly.
 
     For nonlinear parameters. starts: starting values, as fractions of the range. kinked: whether the torque has breaks
-    at deflections that this parameter moves. refined: whether breaks give the fitness many local minima along it.
-    open_ended: whether a value at its upper bound does not reject the term, because larger values have the same effect.
-    about: the parameter that is the middle between the two ends that this parameter moves.
+    (kinks) at deflections that depend on this parameter. refined: whether breaks give the fitness many local minima
+    along it. open_ended: whether a value at its upper bound does not reject the term, because larger values have the
+    same effect. about: for a parameter such as a gap, which moves two ends: the parameter of the middle between the
+    ends.
     """
 
     name: str

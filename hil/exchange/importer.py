@@ -85,12 +85,12 @@ def import_table(
 ) -> Imported:
     """Write a recording from the rows of a table that pass every filter.
 
-    columns: for each channel its column (see DIMENSION): time; torque or motor_torque; dtheta or motor_position;
-    command, the set-point, is optional. Motor channels are converted to the joint with the gear of `stand`. {}: the
-    file is an export of hil, or a joint state, whose effort is the torque and whose position is the deflection. where:
-    the filters. topic, joint: those of a bag. join: a second file of the run. between: the first and the last time to
-    import, as a user writes them. force: replace an existing recording. Raises WrongUse for a column without a known
-    unit, for readings that the stand's limits make impossible, and for a wrong row.
+    columns: the column of each channel: time; torque or motor_torque; dtheta or motor_position; optionally command, the
+    set-point. Motor channels are converted to the joint with the gear of `stand`. {}: the file is an export of hil, or
+    a joint state, whose effort is the torque and whose position is the deflection. where: the filters. topic, joint:
+    those of a bag. join: a second file of the run. between: the first and the last time to import, as a user writes
+    them. force: replace an existing recording. Raises WrongUse for a column without a known unit, for readings that the
+    stand's limits make impossible, and for a wrong row.
     """
     asked = set() if join else {column.name for column in columns.values()} | {one.column for one in where}
     table, said = open_table(source, topic=topic, joint=joint, asked=asked), ""
