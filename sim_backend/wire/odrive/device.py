@@ -242,8 +242,7 @@ class OdriveDevice:
 
     def _messages(self) -> dict[int, Callable[[], bytes]]:
         """Return a function for each message of the axis, which returns its data, by command number."""
-        floats, motor = _FLOATS.pack, self.motor
-        modern = self.layout == "0.6"
+        floats, motor, modern = _FLOATS.pack, self.motor, self.layout == "0.6"
 
         def counts() -> int:
             return round(self._turns() * COUNTS)
@@ -254,15 +253,14 @@ class OdriveDevice:
         def power() -> float:
             return 0.06 * current() ** 2 + motor.torque * motor.velocity
 
-        def supply() -> bytes:
-            volts = self.endpoints.get("vbus_voltage")
-            return floats(volts, power() / volts)
+        def volts() -> float:
+            return self.endpoints.get("vbus_voltage")
 
         shared = {
             0x03: lambda: struct.pack("<II", self.errors, self.disarm_reason if modern else 0),
             0x09: lambda: floats(counts() / COUNTS, motor.velocity / TURN),
             0x14: lambda: floats(motor.demand / TORQUE_CONSTANT, current()),
-            0x17: supply,
+            0x17: lambda: floats(volts(), power() / volts()),
         }
         if not modern:
 
@@ -271,8 +269,7 @@ class OdriveDevice:
                 return struct.pack("<IBBBB", self.errors, self.state, *faults)
 
             silent = dict.fromkeys((0x04, 0x05, 0x15, 0x1D), lambda: bytes(8))  # errors without words; no estimator
-            own = {0x01: heartbeat, 0x0A: lambda: struct.pack("<ii", counts(), counts() % COUNTS)}
-            return shared | silent | own
+            return shared | silent | {0x01: heartbeat, 0x0A: lambda: struct.pack("<ii", counts(), counts() % COUNTS)}
         return shared | {
             0x01: lambda: struct.pack("<IBBBB", self.errors, self.state, self._procedures.result, 1, 0),
             0x00: lambda: bytes([2, 5, 2, 0, *(int(part) for part in self.firmware.split(".")), 0]),
