@@ -212,7 +212,7 @@ def test_a_cell_whose_time_stands_still_is_said_to(make_recording: Maker, stamps
 
     with (
         Recording(make_recording(change=change)) as recording,
-        pytest.raises(Untrustworthy, match=r"0 readings of its own .* stands still"),
+        pytest.raises(Untrustworthy, match=r"0 readings beside those of the angle.* stands still"),
     ):
         prepare(recording, None)
 
