@@ -150,6 +150,7 @@ def test_the_drive_of_the_page_is_recorded_from_its_stand_file(
     assert angle == pytest.approx(torque / 0.02, abs=1e-5)
 
 
+@pytest.mark.study
 def test_the_excitation_of_the_page_is_recorded_and_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made: dict[str, Any] = {}
     exec(compile(block("excitation"), "docs/extending.md", "exec"), made)  # noqa: S102
@@ -205,6 +206,7 @@ def stiffening(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("with_seventh")
 def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -238,6 +240,7 @@ def test_model_selection_finds_the_term_of_the_page_when_its_module_is_put_into_
     assert found["parameters"]["K7"]["value"] == pytest.approx(0.15, rel=0.02)
 
 
+@pytest.mark.study
 def test_the_model_of_the_page_is_identified_from_its_file(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file, table, path = tmp_path / "my_model.py", tmp_path / "a.csv", tmp_path / "a.h5"
     file.write_text(block("model"), encoding="utf-8")

@@ -66,6 +66,7 @@ def packages(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
         table.update(kept)
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("packages")
 def test_drives_are_listed_with_their_package_and_broken_ones_with_the_reason(hil: Hil) -> None:  # noqa: F811
     lines = {line.split()[0]: line for line in hil("record", "--list-backends").out.splitlines()}
@@ -76,6 +77,7 @@ def test_drives_are_listed_with_their_package_and_broken_ones_with_the_reason(hi
     assert "os:sep is no Device" in lines["nothing"]
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("packages")
 def test_models_are_listed_with_their_package_and_broken_ones_with_the_reason(hil: Hil) -> None:  # noqa: F811
     lines = {line.split()[0]: line for line in hil("identify", "--list-models").out.splitlines()}

@@ -123,6 +123,7 @@ def test_a_recording_may_begin_in_the_middle_of_a_motion(constant: float) -> Non
     assert np.allclose(found.optimum.genes, [KC, BC], rtol=1e-3)
 
 
+@pytest.mark.study
 def test_a_skew_and_a_lag_are_fitted_no_worse_than_either_alone_from_wherever_the_search_begins() -> None:
     """They are so much alike that Gauss-Newton steps end before the minimum."""
     constant = 1.0 / (2.0 * np.pi * 30.0)
@@ -311,6 +312,7 @@ def test_a_tendon_rubs_in_proportion_to_all_that_it_carries(term: str, added: di
     assert found == pytest.approx(expected, rel=0.05, abs=1e-3)
 
 
+@pytest.mark.study
 def test_a_tendon_rubs_beside_a_dead_band_in_which_only_its_damper_pulls() -> None:
     beyond = np.sign(MOTION.dtheta) * np.maximum(np.abs(MOTION.dtheta) - 0.01, 0.0)
     carried = KC * (beyond - 0.02) + BC * MOTION.dtheta_dot
@@ -348,6 +350,7 @@ def test_a_load_that_remembers_is_that_of_all_samples_in_every_part_of_them(name
     assert np.array_equal(model.columns(MOTION.of(rows), nonlinear), model.columns(MOTION, nonlinear)[rows])
 
 
+@pytest.mark.study
 def test_friction_of_a_gear_that_grows_with_the_torque_beyond_its_play_comes_back() -> None:
     """Beyond half the gap flanks push with T = Kc x + Bc v, or part; the friction is (Fd + mu T) z, with Dahl's z."""
     beyond = MOTION.dtheta - np.clip(MOTION.dtheta, -0.01, 0.03)

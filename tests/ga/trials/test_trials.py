@@ -40,7 +40,7 @@ def test_the_papers_algorithm_ends_within_one_percent_of_the_exact_optimum(paper
     assert 0.0 <= exact.relative_gap(float(trials.fitness.min())) < 1e-4
 
 
-@pytest.mark.parametrize("p", [2, 5, 8])
+@pytest.mark.parametrize("p", [2, 5, pytest.param(8, marks=pytest.mark.study)])
 def test_every_trial_of_the_default_preset_reaches_the_exact_optimum(made: Making, p: int) -> None:
     truth = [17.75e-3, 0.19e-3, 1e-3, 5e-4, 0.05, -1e-5, 1e-6, 0.3][:p]
     data = made(truth, noise=2e-4, count=1000, seed=p)

@@ -279,6 +279,7 @@ def gone(process: int) -> bool:
     return False
 
 
+@pytest.mark.study
 def test_an_emulator_in_the_background_has_its_port_when_the_command_returns_and_ends_with_its_session(
     tmp_path: Path,
 ) -> None:

@@ -67,7 +67,7 @@ def test_the_interval_of_the_damping_holds_it_beside_a_skew_that_is_not_signific
     ("seed", "model"),
     [
         (0, None),
-        (1, "linear+offset+coulomb"),
+        pytest.param(1, "linear+offset+coulomb", marks=pytest.mark.study),
         pytest.param(2, None, marks=pytest.mark.study),
         pytest.param(3, None, marks=pytest.mark.study),
     ],

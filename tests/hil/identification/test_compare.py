@@ -99,6 +99,7 @@ def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval()
     assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
 
 
+@pytest.mark.study
 def test_an_uncertain_torque_is_said_to_be_the_same_in_all_recordings(make_recording: Maker) -> None:
     stand = STAND.replace("[limits]", "torque_uncertainty = 0.05\n[limits]")
     each = [make_recording(f"{at}.h5", samples=600, noise=1e-5, seed=at) for at in range(2)]

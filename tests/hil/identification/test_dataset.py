@@ -64,6 +64,7 @@ def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monk
         assert one.identifiable == other.identifiable
 
 
+@pytest.mark.study
 def test_blocks_on_disk_in_which_no_row_can_be_used_are_passed_over_and_counted(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -140,9 +140,10 @@ def misfits(found: Identification) -> bool:
     return any(one.code == "misfit" for one in found.diagnostics)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("motion", "friction", "commanded"),
-    [(jerky, 0.0, True), in_study(jerky, 0.0, False), in_study(multisine, 2e-3, True)],
+    [(jerky, 0.0, True), (jerky, 0.0, False), (multisine, 2e-3, True)],
 )
 def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
     tmp_path: Path, motion: Motion, friction: float, commanded: bool
@@ -172,7 +173,8 @@ def test_counts_of_a_joint_that_rests_at_two_angles_are_no_misfit(
     assert holds(found)
 
 
-@pytest.mark.parametrize(("motion", "bits", "commanded"), [in_study(quick, 11, True), (jerky, 12, False)])
+@pytest.mark.study
+@pytest.mark.parametrize(("motion", "bits", "commanded"), [(quick, 11, True), (jerky, 12, False)])
 def test_counts_that_go_with_the_motion_hide_no_friction_that_the_model_lacks(
     tmp_path: Path, motion: Motion, bits: int, commanded: bool
 ) -> None:

@@ -115,7 +115,9 @@ def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_
     assert not low < BC < high
 
 
-@pytest.mark.parametrize(("fastest", "command"), [(12.0, "before"), (30.0, "none"), (30.0, "with")])
+@pytest.mark.parametrize(
+    ("fastest", "command"), [(12.0, "before"), (30.0, "none"), pytest.param(30.0, "with", marks=pytest.mark.study)]
+)
 def test_nothing_is_taken_off_with_many_readings_in_a_period_nor_known_where_no_command_goes_before_the_joint(
     make_recording: Maker, fastest: float, command: str
 ) -> None:

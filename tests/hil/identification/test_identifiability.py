@@ -504,6 +504,7 @@ def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recordin
     assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 N m/rad in another" in said.message
 
 
+@pytest.mark.study
 def test_nothing_is_said_of_a_joint_that_moves_at_several_speeds_in_a_steady_recording(sound: Identification) -> None:
     assert sound.diagnostics == ()
     assert sound.deflection is None

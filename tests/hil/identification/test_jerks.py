@@ -154,6 +154,7 @@ def test_friction_or_an_inertia_that_is_tested_at_rest_only_does_not_make_bc_tru
     ]
 
 
+@pytest.mark.study
 def test_steps_at_the_ticks_leave_bc_in_its_interval(stepped: Path) -> None:
     found = identify([stepped], None, SEARCH)
     assert "skew" not in found.model.name

@@ -65,6 +65,7 @@ def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(
     assert found["Kc"].value == pytest.approx(KC, rel=5e-3)
 
 
+@pytest.mark.study
 def test_a_mean_that_is_named_is_a_warning(make_recording: Maker) -> None:
     mean = np.exp(-1j * np.outer(OMEGA, 2e-3 * np.arange(10))).mean(axis=1)
     found = identified(make_recording, mean, "linear+skew+mean")

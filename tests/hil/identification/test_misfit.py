@@ -210,6 +210,7 @@ def test_the_advice_adds_the_term_that_explains_the_residuals_to_the_model(
     assert "try --model linear+offset+drift+backlash" in message
 
 
+@pytest.mark.study
 def test_a_users_own_model_is_tested_too(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "own.py").write_text(
         "from typing import Annotated\n\n\n"
@@ -259,6 +260,7 @@ def test_the_report_draws_the_test(tmp_path: Path) -> None:
     assert heading in page.read_text()
 
 
+@pytest.mark.study
 def test_where_an_encoder_has_its_zero_changes_neither_kc_nor_bc(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,7 @@ def codes(found: Identification) -> list[str]:
     return [one.code for one in found.diagnostics if one.is_error and one.parameter == "Kc"]
 
 
+@pytest.mark.study
 def test_a_spring_that_carries_less_than_what_nothing_explains_has_no_stiffness(tmp_path: Path) -> None:
     found = rubbing(tmp_path / "a.h5", 1.0, 0.12)
     assert found.lack_of_fit is not None

@@ -86,6 +86,7 @@ def test_a_straight_spring_counts_from_the_encoders_zero_whatever_its_torque_is_
     assert unloaded(seen(deflection + 0.05, KC * deflection + BC * rate, rate)) == Unloaded()
 
 
+@pytest.mark.study
 def test_the_kc_of_a_curving_spring_does_not_depend_on_an_angle_added_to_all_readings(tmp_path: Path) -> None:
     deflection, rate = moved()
     torque = cubic(deflection, rate)

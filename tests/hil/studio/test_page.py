@@ -87,6 +87,7 @@ def test_a_stand_file_with_an_error_is_shown_with_its_reason(page: TestClient, t
     assert "stand.gear" in stands[1]["wrong"]
 
 
+@pytest.mark.study
 def test_thousands_of_recordings_are_listed_a_page_at_a_time_newest_first(page: TestClient, tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
     for number in range(10_000):

@@ -122,6 +122,7 @@ def test_a_stiffness_that_changes_within_a_recording_by_more_than_a_factor_of_th
     assert all("Kc is 1 N m/rad in one quarter of the recording and 3.5 N m/rad" in one.message for one in found)
 
 
+@pytest.mark.study
 def test_a_recording_with_another_zero_of_the_torque_is_named(make_recording: Maker) -> None:
     """The misfit said that no known effect explains what one offset leaves."""
 
