@@ -60,7 +60,7 @@ def test_a_sum_of_columns_is_read_with_the_unit_of_each(
         ("motor**2", "cannot stand in a sum"),
         ("motor if joint else tau", "cannot stand in a sum"),
         ("__import__('os').getcwd()", "has no column"),
-        ("motor+" * 2000, "has 12000 characters, and may have 300"),
+        ("motor+" * 2000, "has 12000 characters, more than 300"),
         ("(" * 250 + "motor" + ")" * 45, "has no column"),
         ("motor[N*m] - joint", r"unknown unit of angle 'N\*m'"),
         ("motor[rad]/20 - joint", "is in deg by its heading and in rad by the option"),
