@@ -227,6 +227,7 @@ def test_one_sample_both_or_neither_are_refused(make_recording: Maker) -> None:
         api.identify(time=[1.0], torque=[1.0], dtheta=[1.0])
 
 
+@pytest.mark.study
 def test_a_part_of_a_recording_gives_what_a_recording_of_that_part_gives(hil: Hil, make_recording: Maker) -> None:
     whole = make_recording(noise=2e-4, change=lambda channels: channels["torque"][:500].__imul__(3.0))
     part = api.load(whole, start=1.0, end=3.998)

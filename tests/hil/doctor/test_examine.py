@@ -285,6 +285,7 @@ def test_a_link_that_is_lost_in_the_middle_is_an_error_and_no_traceback(
     assert rig.port.closed
 
 
+@pytest.mark.study
 def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets_it(
     make_rig: Callable[..., Any], examine_rig: Examine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -141,6 +141,7 @@ def test_limits_and_duration_come_from_the_recording(tmp_path: Path) -> None:
     assert limits["torque"] == pytest.approx(0.03)
 
 
+@pytest.mark.study
 def test_the_viewer_has_a_session_of_its_own_so_that_ctrl_c_does_not_reach_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
