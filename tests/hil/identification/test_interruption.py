@@ -159,9 +159,9 @@ def test_a_search_of_many_generations_says_first_how_long_it_will_take(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("hil.identification.fitting.forecast._LONG_SEARCH", 5_000)
-    words = ["identify", str(make_recording()), "--preset", "paper", "--trials", "1", "--workers", "1", "--json"]
-    run([*words, "--generations", "5000"])
+    words = ["identify", str(make_recording()), "--model", "linear", "--preset", "paper", "--trials", "1", "--json"]
+    run([*words, "--workers", "1", "--generations", "5000"])
     said = capfd.readouterr().err
     assert re.search(r"searching with 5,000 evaluations: about \d+ (s|minutes); Ctrl-C ends it", said)
-    run([*words, "--generations", "500"])
+    run([*words, "--workers", "1", "--generations", "500"])
     assert "evaluations: about" not in capfd.readouterr().err
