@@ -32,17 +32,9 @@ damping = 3e-4
 
 
 @pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The example package as pip installs it, and a package whose drive cannot be loaded."""
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of packages with one whose drive cannot be loaded."""
     place = tmp_path_factory.mktemp("site")
-    source = tmp_path_factory.mktemp("source") / "package"
-    source.mkdir()
-    for path in [EXAMPLE / "pyproject.toml", *EXAMPLE.glob("hil_example_drive/*.py")]:
-        copy = source / path.relative_to(EXAMPLE)
-        copy.parent.mkdir(exist_ok=True)
-        copy.write_bytes(path.read_bytes())
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(place)]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(source)], check=True, capture_output=True)
     broken = place / "broken-1.0.dist-info"
     broken.mkdir()
     (broken / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
@@ -52,9 +44,22 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.fixture(scope="module")
+def example(site: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The example package as pip installs it."""
+    source = tmp_path_factory.mktemp("source") / "package"
+    source.mkdir()
+    for path in [EXAMPLE / "pyproject.toml", *EXAMPLE.glob("hil_example_drive/*.py")]:
+        copy = source / path.relative_to(EXAMPLE)
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_bytes(path.read_bytes())
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(site)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(source)], check=True, capture_output=True)
+
+
 @pytest.fixture
-def packages(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.syspath_prepend(installed)
+def packages(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.syspath_prepend(site)
     importlib.invalidate_caches()
     tables: list[dict[str, Any]] = [terms._terms, terms._parameters]
     before = [dict(table) for table in tables]
@@ -67,7 +72,7 @@ def packages(installed: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 
 @pytest.mark.study
-@pytest.mark.usefixtures("packages")
+@pytest.mark.usefixtures("example", "packages")
 def test_drives_are_listed_with_their_package_and_broken_ones_with_the_reason(hil: Hil) -> None:  # noqa: F811
     lines = {line.split()[0]: line for line in hil("record", "--list-backends").out.splitlines()}
     assert {"sim", "dynamixel", "loadcell"} <= set(lines)
@@ -78,7 +83,7 @@ def test_drives_are_listed_with_their_package_and_broken_ones_with_the_reason(hi
 
 
 @pytest.mark.study
-@pytest.mark.usefixtures("packages")
+@pytest.mark.usefixtures("example", "packages")
 def test_models_are_listed_with_their_package_and_broken_ones_with_the_reason(hil: Hil) -> None:  # noqa: F811
     lines = {line.split()[0]: line for line in hil("identify", "--list-models").out.splitlines()}
     assert {"linear", "skew"} <= set(lines)
@@ -87,7 +92,7 @@ def test_models_are_listed_with_their_package_and_broken_ones_with_the_reason(hi
 
 
 @pytest.mark.study
-@pytest.mark.usefixtures("packages")
+@pytest.mark.usefixtures("example", "packages")
 def test_a_stand_with_the_drive_of_another_package_is_recorded_and_identified_with_its_models(
     hil: Hil,  # noqa: F811
 ) -> None:
@@ -110,7 +115,8 @@ def test_a_stand_whose_drive_is_broken_is_refused_with_the_package(hil: Hil) -> 
     assert "Traceback" not in ended.err
 
 
-@pytest.mark.usefixtures("packages")
+@pytest.mark.study
+@pytest.mark.usefixtures("example", "packages")
 def test_other_stands_do_not_load_other_packages(hil: Hil) -> None:  # noqa: F811
     sys.modules.pop("hil_example_drive", None)
     assert hil("record", "--backend", "sim", "--duration", 0.5, "--fade", 0.1, "-o", "a.h5").status == 0
