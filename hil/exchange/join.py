@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hil.errors import WrongUse
 from hil.exchange.columns import Table
 from hil.exchange.expression import terms
-from hil.uncertainty.criteria import TICK_SHARE
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
 Part = tuple[Path, dict[str, Array]]
@@ -112,7 +112,7 @@ def _change(one: Part, two: Part) -> tuple[float, str]:
             "the torque's power, which is that of another run: name files of one run"
         )
     step = max(float(np.median(np.diff(part[1]["time"]))) for part in (one, two))
-    if not shift.error < TICK_SHARE * step:
+    if not shift.error < c.TICK_SHARE * step:
         raise WrongUse(
             f"{both} cannot be compared well enough: the shift has a standard error of {1e3 * shift.error:.2g} ms, "
             f"and Bc an error of Kc times that: move at several speeds and longer, or {how}"

@@ -12,7 +12,8 @@ from ga.model.terms import TERMS
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import Assessment, Task
-from hil.uncertainty.criteria import COUPLING, LIKE_FRICTION, ONE_SPEED, distinguishable, narrow
+from hil.signals import constants as c
+from hil.uncertainty.criteria import distinguishable, narrow
 
 _NORMAL = 1.96
 
@@ -101,7 +102,7 @@ def _corner(task: Task, judged: Assessment) -> list[Diagnostic]:
 
 def _speeds(task: Task, judged: Assessment) -> list[Diagnostic]:
     profile, found = judged.profile, []
-    if ONE_SPEED < judged.friction_likeness < LIKE_FRICTION:
+    if c.ONE_SPEED < judged.friction_likeness < c.LIKE_FRICTION:
         found.append(
             Diagnostic(
                 "hidden-friction",
@@ -146,9 +147,9 @@ def _not_identifiable(judged: Assessment) -> list[Diagnostic]:
         name = parameter.name
         if not distinguishable(parameter.error, parameter.inflation):
             reason = "it has no effect on the torque, or another parameter has the same; leave a term out of --model"
-        elif name == "Bc" and judged.friction_likeness >= LIKE_FRICTION:
+        elif name == "Bc" and judged.friction_likeness >= c.LIKE_FRICTION:
             reason = "at one speed it cannot be distinguished from dry friction; drive at several speeds"
-        elif name in COUPLING and not narrow(_NORMAL * parameter.error, parameter.rough):
+        elif name in c.COUPLING and not narrow(_NORMAL * parameter.error, parameter.rough):
             half = _NORMAL * parameter.error / parameter.rough
             reason = f"half its 95 % interval is {half:.0%} of its value; raise --amplitude or --duration"
         else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +19,13 @@ from hil.identification.result import Estimate, Identification, interval, standa
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
+from hil.signals import constants as c
 from hil.signals.constants import NORMAL
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
 COMPARED = ("Kc", "Bc")
 """The parameters that are compared: Kc and Bc of the coupling. Other terms belong to the stand."""
-
-_CHANCE = 0.05
-_HOUR = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +110,7 @@ def compare(
         all_found = identify_each([Task((one,), model, search) for one in given], progress)
         measured = []
         for source, moment, found in zip(sources, created, all_found, strict=True):
-            hours = (moment - first).total_seconds() / _HOUR if moment and first else math.nan
+            hours = (moment - first) / timedelta(hours=1) if moment and first else math.nan
             measured.append(_measured(source, moment, hours, model, _usable(source.path, found, diagnostics)))
     models = sorted({one.model for one in measured if one.estimates})
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
@@ -201,7 +199,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     pooled = between(values, errors)
     hours = np.array([one.hours for one in usable])
     slope = drift(hours, values, errors) if len(usable) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
-    repeats = pooled.p_alike >= _CHANCE and (slope is None or slope.p >= _CHANCE)
+    repeats = pooled.p_alike >= c.BY_CHANCE_APART and (slope is None or slope.p >= c.BY_CHANCE_APART)
     verdict = _verdict(name, pooled, slope, len(usable))
     widened = _with_scale(pooled, max(one.torque_uncertainty for one in usable))
     return Repeated(name, unit, paths, widened, slope, repeats, verdict)
@@ -219,7 +217,7 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
     scale = 100.0 / abs(pooled.value)
     within, apart = pooled.within * scale, pooled.between * scale
     low, high = (end * scale for end in pooled.between_ci95)
-    if pooled.p_alike < _CHANCE:
+    if pooled.p_alike < c.BY_CHANCE_APART:
         verdict = (
             f"{name} does not repeat: the recordings differ by {apart:.2g} % (standard deviation; 95 %: {low:.2g} to "
             f"{high:.2g} %), and the error of one recording is {within:.2g} %. Use the pooled interval, not that of "
@@ -237,6 +235,6 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
             f"{name} repeats: the recordings differ by at most {high:.2g} % (standard deviation), and the error of one "
             f"recording is {within:.2g} %"
         )
-    if slope is not None and slope.p < _CHANCE:
+    if slope is not None and slope.p < c.BY_CHANCE_APART:
         verdict += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"
     return f"{verdict}."

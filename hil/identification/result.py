@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.coupling import Coupling
+from hil.signals import constants as c
 from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 from hil.uncertainty.deflection.correction import Method
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
-
-_ROUNDING = 1e-9  # of a value: the error of a recording without noise, which would outweigh all others
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,4 +258,4 @@ def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
     uncertainty: the relative uncertainty of the torque's scale.
     """
     half = math.sqrt(max(estimate.half_width**2 - (NORMAL * uncertainty * estimate.value) ** 2, 0.0))
-    return float(max(half / NORMAL, _ROUNDING * abs(estimate.value), math.ulp(0.0)))
+    return float(max(half / NORMAL, c.NO_NOISE * abs(estimate.value), math.ulp(0.0)))

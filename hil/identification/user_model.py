@@ -30,13 +30,13 @@ from ga.model.terms import PARAMETERS, TERMS, add
 from ga.model.trajectory import Motion
 from hil.errors import WrongUse
 from hil.plugins import MODELS, plugins
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
 
 _TORQUE = re.compile(
     r"[mu]?N[\s*.·]?m(?![a-z])"
 )  # what a unit begins with that is a torque, by itself or per something
-_STEP = 1e-6  # of the bounds' width, for the Jacobian
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class UserModel:
         found = []
         for at, width in enumerate(self.high - self.low):
             step = np.zeros(len(nonlinear))
-            step[at] = _STEP * width
+            step[at] = c.JACOBIAN_STEP * width
             above, below = np.minimum(nonlinear + step, self.high), np.maximum(nonlinear - step, self.low)
             found.append((self._torque(motion, above) - self._torque(motion, below)) / (above[at] - below[at]))
         return np.stack(found, axis=1)

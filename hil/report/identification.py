@@ -12,7 +12,7 @@ from ga.model.coupling import CouplingModel
 from hil.recording.interval import named
 from hil.report.formatting import engineering, people_unit, plain_table, rounded, rounded_in_thousands
 from hil.report.lack_of_fit import dynamic_stiffness_table
-from hil.uncertainty.criteria import COUPLING
+from hil.signals import constants as c
 from hil.units import with_unit
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     low, high = (end * factor for end in estimate.ci95)
     if not math.isfinite(low):
         return f"{estimate.value * factor:.5g}", None, "not identifiable", unit
-    of = rounded if estimate.name in COUPLING else rounded_in_thousands
+    of = rounded if estimate.name in c.COUPLING else rounded_in_thousands
     value, half = of(estimate.half_width * factor, estimate.value * factor)
     first, last, _ = of(0.05 * (high - low), low, high)
     return value, half, f"{first} to {last}", unit

@@ -1,5 +1,4 @@
-"""The numbers of `hil.signals` and `hil.uncertainty`, each with its unit; the limits of trust are in
-`hil.uncertainty.criteria`.
+"""The numbers that decide in `hil.signals`, `hil.uncertainty` and `hil.identification`, each with its unit.
 
 The comment beside a number names its source: a paper or a study in `benchmarks/`. For other numbers no source is
 recorded.
@@ -12,67 +11,26 @@ from typing import Final
 
 import numpy as np
 
-NORMAL: Final = 1.959964
-"""Half a 95 % interval of a normal distribution, in standard deviations."""
-
-UPPER: Final = 0.975
-"""The quantile at the upper end of a 95 % interval."""
-
-SPREAD: Final = 1.4826
-"""The standard deviation of normal noise over the median of its absolute value (Rousseeuw and Croux 1993)."""
-
-CLIPPED: Final = 2.5
-"""The distance from the median, in standard deviations, beyond which a residual counts no more (Huber 1964)."""
-
-DEPENDENT: Final = 1e-12
-"""The ratio to the largest eigenvalue of a Gram matrix below which columns are dependent: rounding of the sums."""
-
-ACCURATE: Final = 5e-4
-"""The relative accuracy of Kc, Bc, torque and rate below which nothing is corrected or reported: real sensors are not
-better.
-"""
-
-GAIN_ERROR: Final = 3e-4
-"""The relative error of rate and acceleration at the upper end of the band, and of the torque that follows from it."""
-
-BLOCKS: Final = 32
-"""The number of parts of a recording whose scatter gives the error of a sum over it."""
-
-TURN: Final = math.tau
-"""One turn, rad."""
-
-SURE: Final = 4.0
-"""The number of standard errors from which an effect is no chance, among the many that are looked for."""
-
-NEARLY_ALL: Final = 0.98
-"""The part of the samples that a rule must hold for, if single faults are expected."""
-
-ENOUGH: Final = 65_536
-"""The number of samples from which a property of a whole recording is estimated."""
-
-ROUNDING: Final = 12.0**-0.5
-"""The standard deviation of the error of rounding to counts, in counts."""
-
-RELEVANT: Final = (5e-3, 0.03)
-"""The relative changes of Kc and Bc from which a warning states them."""
-
-FEWEST: Final = 16
-"""The smallest number of samples, or of parts of a recording, from which anything is concluded."""
-
-MOST: Final = 0.9
-"""The quantile of a quantity that stands for its large values, without the few largest."""
-
-MANY: Final = 0.05
-"""The part of the samples from which a fault is one of the whole recording, and not of single samples."""
-
-TESTED: Final = 20_000
-"""The number of samples to which the costly tests of a fit are limited."""
-
-PREDICTED: Final = 0.02
-"""The part of the residuals' power below which what the motion predicts of them is of no size."""
-
-FALSE_ALARMS: Final = 0.002
-"""The probability that a test finds an effect or a difference that does not exist."""
+NORMAL: Final = 1.959964  # half a 95 % interval of a normal distribution, in standard deviations
+UPPER: Final = 0.975  # quantile at the upper end of a 95 % interval
+SPREAD: Final = 1.4826  # standard deviation of normal noise over its median absolute value (Rousseeuw and Croux 1993)
+CLIPPED: Final = 2.5  # standard deviations, beyond which a residual counts no more (Huber 1964)
+DEPENDENT: Final = 1e-12  # of the largest eigenvalue of a Gram matrix, below which columns are dependent: rounding
+ACCURATE: Final = 5e-4  # relative error of Kc, Bc, torque and rate that is not corrected: no sensor is better
+GAIN_ERROR: Final = 3e-4  # relative error of rate and acceleration at the upper end of the band, and of their torque
+BLOCKS: Final = 32  # parts of a recording whose scatter gives the error of a sum over it
+TURN: Final = math.tau  # one turn, rad
+SURE: Final = 4.0  # standard errors from which an effect is no chance, among the many that are looked for
+NEARLY_ALL: Final = 0.98  # part of the samples that a rule must hold for, if single faults are expected
+ENOUGH: Final = 65_536  # samples from which a property of a whole recording is estimated
+ROUNDING: Final = 12.0**-0.5  # standard deviation of the error of rounding to counts, in counts
+RELEVANT: Final = (5e-3, 0.03)  # relative changes of Kc and Bc from which a warning states them
+FEWEST: Final = 16  # smallest number of samples, or of parts of a recording, from which anything is concluded
+MOST: Final = 0.9  # quantile of a quantity that stands for its large values, without the few largest
+MANY: Final = 0.05  # part of the samples from which a fault is one of the whole recording, and not of single samples
+TESTED: Final = 20_000  # samples to which the costly tests of a fit are limited
+PREDICTED: Final = 0.02  # part of the residuals' power below which what the motion predicts of them is of no size
+FALSE_ALARMS: Final = 0.002  # probability that a test finds an effect or a difference that does not exist
 
 # Time stamps
 PACE_ROWS = 20  # samples over which the usual pace is taken: more than arrive in one packet
@@ -303,3 +261,114 @@ NOT_OF_NOISE = 0.05  # of what is predicted, up to which errors of the motion ex
 SCATTER = 2.0  # standard deviations, by which simulated errors may leave more than on average
 REPEATED_ROUNDING = 0.25  # of the power that errors add, above which its scatter is that of rounding that repeats
 OTHER_JOINT = 0.15  # of the torque's deviation: a model that leaves so much is that of another joint
+
+# Choice of the model
+BAND_NEIGHBOURS = 5  # neighbours a side of the polynomial that moves unevenly stamped readings to an even grid
+CERTAIN_RATES = (0.2, 0.98)  # samples with a certain rate over all, between which only these are used
+ABOVE_ERRORS = 100.0  # times the power of its errors, which that of the deflection has in the band
+SMOOTHED_SPECTRUM = 0.5  # Hz, over which the spectra that give the band are smoothed
+UNFILTERED_ROWS = 4000  # rows, at most, of a recording that cannot be low-passed
+NOISE_WEIGHTS = 12  # weights of the autoregression of the noise, at most
+ROWS_A_WEIGHT = 60  # rows needed for each of these weights
+TRIED_SHARE = 0.2  # friction coefficient at which a column of friction, which is proportional to it, is computed
+FORGOTTEN_STATE = 1e-3  # the weight at every row, below which an unknown state at the beginning of a piece is ignored
+SAME_VALUE = 1e-3  # relative difference, below which two grid values count as one
+PRIOR = {"smallest": 1.0, "considered": 0.5, "motor torque": 0.1, "misfit": 0.1}  # probability of a term, by class
+PRIOR_SELDOM = 0.03  # probability of a term that is rarer than its class
+PRIOR_BREAKING = 0.02  # the same of a term with a break, which fits much by chance
+MODEL_ERROR = 5e-4  # of the torque, by which models and rates are in error at least
+OCCAM = 12.0  # of the best score, below which a candidate is not expanded (Madigan and Raftery 1994)
+GRID_LOSS = 6.0  # of a score, by which that at a grid value may be lower than at the fitted value
+EXPANDED = 24  # candidates that are expanded, at most
+NEW_COLUMN = 1e-7  # of a column's power, that must be orthogonal to the other columns
+SEARCH_BLOCKS = 20  # blocks in time, which give the number of independent samples
+GRID_POINTS = 3  # best grid values of the same terms that are added to a candidate
+NEWTON_STEPS = 8  # Gauss-Newton steps of a fit in the band, at most
+HALVINGS = 4  # halvings of such a step, at most
+CONVERGED = 1e-4  # of the sum of squares, by which a step lowers it less when the fit has converged
+ROUNDS = 4  # rounds of search and fit, at most
+FITTED = 2  # candidates of different terms that a round fits
+STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
+AT_END = 1e-4  # of a range, within which a value is at its end
+GAP_OF_NOISE = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
+STRONG = 10.0  # gain that a rare term, one with a break and one that the search did not propose must exceed
+WORSE = 2.0  # standard errors over the blocks, from which a prediction is clearly worse
+BETTER = 1.0  # the same, from which it is better
+CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
+EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what is explained so far needs no further term
+RIVAL = 1.1  # factor by which a term may worsen the fitness and still be a rival
+EXCHANGES = 6  # terms that the exact fit removes or adds, at most
+SELECTED_FROM = 40_000  # samples from which a model is selected
+STRETCHES = 8  # stretches of a long recording that these samples make up
+STICKING = 1.25  # ratio of the error of slow samples to that of the others, from which the two differ
+OF_FRICTION = 0.02  # of the friction: smaller errors of slow samples may come from errors of the rate
+KNOWN_MEAN = 100  # samples that determine a mean error
+NO_RATE = 1e-9  # of the fastest rate, below which nothing moves
+
+# Held set-points and steps
+TWELFTH = 1.0 / 12.0  # variance of a uniform distribution of width one
+DRIVES = tuple(np.geomspace(4.0, 64.0, 9).tolist())  # Hz, natural frequencies of drives, each equally likely
+DRIVE_DAMPING = 0.75  # damping ratio of a drive
+DENSE_READINGS = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
+TAKEN_OFF = 0.1  # of the rate, that a drive which the readings still follow takes off, at most
+EIGHTH = 1.0 / 8.0  # of a jump of the acceleration times the period: the error of the rate, on average
+OFTEN = 0.5  # part of the samples with a new set-point, from which the command does not step
+SLOWEST_STEP = 64  # samples, after which the acceleration that follows a step is at its largest
+LOW_PASSED_JUMP = 2.0  # times the acceleration that is left of a jump behind the low-pass of such a motion
+BESIDE = 3  # samples a side, whose median change of the acceleration is no jump
+
+# Fit
+IN_MEMORY = 4_000_000  # rows, all recordings together, up to which the signals are held in memory
+TABLE_ROWS = 1 << 18  # rows of a table on disk that are read at a time
+LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
+TRIALS = 30  # the paper's trials of a search
+NONLINEAR_TRIALS = 5  # trials of a search for nonlinear parameters, half a second each
+CURVE_ROWS = 6000  # samples that give the static torque over the deflection
+CURVE_DEGREES = (1, 3, 5, 7, 9)  # of that curve: the first is used beyond which nothing is evident
+SAME_PLACE = 1.0 / 40.0  # of the motion: two places anywhere in it are nearer by chance in one case of twenty
+RESOLVED = 1e-4  # of the torque's range, below which no disagreement changes what is reported
+LOOKED = 1 << 16  # readings of the torque that show its counts
+JACOBIAN_STEP = 1e-6  # of the bounds' width, for a user's Jacobian
+NO_NOISE = 1e-9  # of a value: the least error, that of a recording without noise
+
+# Verdict
+NOT_FROM_COMMAND = 0.02  # of the power of the deflection, that may not follow from the command
+ROUNDED_RESIDUALS = 0.01  # of the residuals' power, that rounding to counts must have to be allowed for
+LEFT_BY_SMALL = 0.5  # of Kc and Bc, that a small effect leaves
+HELD_JUMPS = (0.0, 1.5)  # times its computed size, between which the torque of held set-points is one
+ENOUGH_PAIRS = 2  # pairs of simulated errors, which show that errors are far too small
+SURE_BAND = 2.0  # half widths of an interval, beyond which none of a dozen bands is by chance
+MOVES = 0.5  # of the rate's power, that the tested samples hold where the joint moves all the time
+LACKING = 0.03  # of the dynamic stiffness in a band, that a model of another joint lacks
+OFF_COUNTS = 0.2  # counts, by which a reading in counts is off their grid at most
+RESPECTS = 3  # respects that a message names
+TESTED_MOTION = 0.1  # of the motion, below which what is tested looks too much like friction or inertia
+CHANGING = 0.03  # relative change of K' over the band, from which it is said
+OUTERMOST = 0.002  # of the samples at either end of a range, which may be outliers
+EARLY = 2.0  # times what recorders are late or early by, from which an early reading is doubted
+LITTLE_EARLY = 0.5  # the same, beside an inertia
+NO_FRICTION = 0.01  # of the torque: a friction so small does not hold the joint
+FEW_FOR_BC = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong
+FIRST_ORDER = 0.15  # relative simulated change, from which the simulation is too rough
+BY_CHANCE_APART = 0.05  # probability, below which two results differ
+
+# When a result is trusted, planned and identified
+COUPLING: Final = ("Kc", "Bc")  # names of the parameters that a usable result must contain
+INFLATION = (
+    300.0  # variance inflation of a parameter that 6 % (300**-0.5) of error in the columns make wrong by its value
+)
+INTERVAL = 0.35  # half the interval of Kc or Bc over its value: two recordings of one joint may then differ by a half
+UNCERTAIN = 0.1  # the same, from which a warning says why the interval is so wide
+LIKE_FRICTION = 0.95  # `friction_likeness` from which Bc cannot be distinguished from a friction that the model lacks
+ONE_SPEED = 0.79  # the same, from which most of such a friction is in Bc: a triangle has 1, a sine 0.81, a chirp 0.72
+OPTIMISER_GAP = 1e-3  # optimiser gap from which a search has not converged: a tenth of the usual interval of Kc
+UNEXPLAINED = 0.9  # of the torque's spread, that a model which explains nothing leaves in held-out blocks
+EVIDENCE_AGAINST = -6.0  # gain below which the evidence against a term is strong (Kass and Raftery 1995)
+TICK_SHARE = 0.1  # ticks, standard deviation of the difference in age of one recorder's torque and angle
+LONGEST_SKEW = 1.5  # ticks, above which one recorder is unlikely to be the cause of a skew
+CELLS = (15.0, 480.0)  # Hz, bandwidths of torque cells: a slower one shows, a faster one delays by a part of a tick
+BETWEEN = 3.0  # standard deviation between recordings over that within, from which they really differ
+DIFFERENT = 3.0  # ratio of two values of Kc in one recording that no single Kc describes
+MUCH_FRICTION = 0.5  # friction over torque, from which Kc depends on how friction is modelled
+LITTLE_FRICTION = 0.2  # the same, up to which Kc repeats: in real ramps with 0.2 to 0.3 within 4 % (median)
+PLAY = 0.75  # play over the range of the deflection, from which too little of the motion loads the spring

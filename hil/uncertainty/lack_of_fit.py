@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from hil.signals import constants as c
 from hil.signals.deflection_noise import skew_by_noise
-from hil.uncertainty.criteria import COUPLING
 from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
 from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
@@ -278,7 +277,7 @@ class _Tests:
     def _outside(self, sizes: Array) -> tuple[str, ...]:
         scale = self._scale
         beyond = sizes * scale > np.maximum(self._fitted.half_width, c.ACCURATE * scale)
-        return tuple(name for name, is_beyond in zip(COUPLING, beyond.tolist(), strict=True) if is_beyond)
+        return tuple(name for name, is_beyond in zip(c.COUPLING, beyond.tolist(), strict=True) if is_beyond)
 
     def _correlation(self) -> tuple[Array, Array]:
         """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
+from hil.signals import constants as c
 from hil.signals.constants import FALSE_ALARMS, NORMAL, PRECISE, QUARTERS, RELEVANT, ZERO_SHARE
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
-from hil.uncertainty.criteria import BETWEEN, COUPLING, DIFFERENT
 from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
@@ -76,7 +76,7 @@ def disagreement(
     """
     found = []
     for name, one in zip(names, components, strict=True):
-        if name not in COUPLING or one is None or not _differ(one):
+        if name not in c.COUPLING or one is None or not _differ(one):
             continue
         values = np.array(one.values)
         at, usual = _most_apart(values)
@@ -132,7 +132,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
     for first, last in pairwise((0, *edges)):
         cuts = np.linspace(first, last, QUARTERS + 1).astype(int).tolist()
         values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
-        if values and max(values) > DIFFERENT * min(values):
+        if values and max(values) > c.DIFFERENT * min(values):
             found.append(
                 Diagnostic(
                     "not-stationary",
@@ -150,7 +150,7 @@ def _differ(one: VarianceComponents) -> bool:
     """Return whether the values of the recordings are further apart than chance explains. one: the variance
     components.
     """
-    return one.p_alike <= FALSE_ALARMS and one.between > BETWEEN * one.within
+    return one.p_alike <= FALSE_ALARMS and one.between > c.BETWEEN * one.within
 
 
 def _most_apart(values: Array) -> tuple[int, float]:

@@ -77,11 +77,10 @@ def test_the_identification_gets_no_further_constants_and_codes(folder: str) -> 
     assert all(count <= budget for count, budget in zip(counts, STACK[folder], strict=True)), counts
 
 
-@pytest.mark.parametrize("folder", ["hil/signals", "hil/uncertainty"])
-def test_the_numbers_that_decide_stand_in_one_module_of_constants_and_in_the_criteria(folder: str) -> None:
-    others = {path: module.decides for path, module in modules().items() if path.startswith(f"{folder}/")}
-    found = {path for path, numbers in others.items() if numbers}
-    assert found <= {"hil/signals/constants.py", "hil/uncertainty/criteria.py"}
+def test_the_numbers_that_decide_stand_in_one_module_of_constants() -> None:
+    of_the_paper = "hil/identification/replicate.py"
+    found = {path for path, module in modules().items() if module.decides and path.startswith(tuple(STACK))}
+    assert {path for path in found if path.startswith("hil/")} <= {"hil/signals/constants.py", of_the_paper}
 
 
 def test_the_identification_has_no_more_codes_in_all() -> None:

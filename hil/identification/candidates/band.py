@@ -12,18 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals import constants as c
 from hil.signals.constants import FEWEST
 from hil.signals.prepare import Signals
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passing
 from hil.signals.rate.spectrum import power_of
 
 Array = NDArray[np.float64]
-
-_NEAR = 5  # neighbours on each side of the polynomial that moves unevenly stamped readings to an even grid
-_CLEAR = (0.2, 0.98)  # if the share of samples with a certain rate lies between these, only they are used
-_ABOVE, _WIDTH = 100.0, 0.5  # least ratio of the power of the deflection to that of its errors; smoothing, Hz
-_MOST = 4000  # rows, at most, of a recording that cannot be low-passed
-_ORDER, _ROWS = 12, 60  # weights of the noise's autoregression, at most; rows needed for each
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +44,15 @@ class Band:
         """Return the band of the samples in `seen` (n,), not whitened."""
         motion, highest = signals.motion, _highest(signals)
         clear = seen & signals.smooth
-        used = clear if _CLEAR[0] < clear.mean() < _CLEAR[1] else seen
+        used = clear if c.CERTAIN_RATES[0] < clear.mean() < c.CERTAIN_RATES[1] else seen
         first = motion.time[slice(*_pieces(motion)[0])]
-        low_pass = low_pass_for(first, highest, _NEAR) if used.all() and len(first) > FEWEST else None
+        low_pass = low_pass_for(first, highest, c.BAND_NEIGHBOURS) if used.all() and len(first) > FEWEST else None
         if low_pass is not None:
             sound = np.concatenate([_sound(motion.time[a:b], low_pass) for a, b in _pieces(motion)])
             every = max(1, int(0.5 / (low_pass.cut * low_pass.step)))
-            if np.count_nonzero(sound[::every]) >= _ROWS:
+            if np.count_nonzero(sound[::every]) >= c.ROWS_A_WEIGHT:
                 return cls._at(signals, sound, low_pass, every)
-        return cls._at(signals, used, None, max(1, len(motion) // _MOST))
+        return cls._at(signals, used, None, max(1, len(motion) // c.UNFILTERED_ROWS))
 
     @classmethod
     def _at(cls, signals: Signals, used: NDArray[np.bool_], low_pass: LowPass | None, every: int) -> Band:
@@ -81,7 +76,7 @@ class Band:
 
     def with_noise(self, residuals: Array) -> Band:
         """Return the band with the filter that whitens residuals (m,) of its rows: their autoregression."""
-        order = min(_ORDER, len(residuals) // _ROWS)
+        order = min(c.NOISE_WEIGHTS, len(residuals) // c.ROWS_A_WEIGHT)
         near = [residuals[: len(residuals) - k] @ residuals[k:] / (len(residuals) - k) for k in range(order + 1)]
         if not near[0] > 0.0 or order < 1:
             return self
@@ -108,9 +103,9 @@ def _highest(signals: Signals) -> float:
     if window is None or not window.of_deflection > 0.0:
         return signals.band[1]
     frequency, power, white = power_of(motion.time, motion.dtheta)
-    lines = 1 + int(np.searchsorted(frequency, _WIDTH))
+    lines = 1 + int(np.searchsorted(frequency, c.SMOOTHED_SPECTRUM))
     smooth = np.convolve(power, np.ones(lines) / lines, "same")
-    above = (smooth > _ABOVE * window.of_deflection**2 * white) & (frequency <= signals.band[1])
+    above = (smooth > c.ABOVE_ERRORS * window.of_deflection**2 * white) & (frequency <= signals.band[1])
     return float(frequency[above][-1]) if above.any() else signals.band[1]
 
 

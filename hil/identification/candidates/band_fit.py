@@ -17,12 +17,10 @@ from ga.model.record import positive_among
 from ga.model.terms import SMALLEST, TERMS, lacking
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.catalogue import lag_of, model_of
-from hil.identification.candidates.search import MARGIN, Score, odds
+from hil.identification.candidates.search import Score, odds
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-_STEPS, _HALVINGS = 8, 4  # Gauss-Newton steps, and halvings of a step, at most
-_CONVERGED = 1e-4  # the fit has converged if a step lowers the sum of squares by a smaller part
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,7 @@ class BandFits:
         """Return the fit without the terms that do not improve the score, which are removed one after the other."""
         while True:
             tried = [(self._without(fit, term), term) for term in fit.terms if _is_free(term, fit.terms)]
-            likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - MARGIN]
+            likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - c.GRID_LOSS]
             smaller = (self.fit(tuple(one for one in fit.terms if one != term), fit.values) for term in likely)
             better = next((one for one in smaller if one.score >= fit.score), None)
             if better is None:
@@ -106,13 +104,13 @@ class BandFits:
         if model.needs_ratio:
             best = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
         jacobian = np.empty((0, best.whitened.shape[1]))
-        for _ in range(_STEPS if len(low) else 0):
+        for _ in range(c.NEWTON_STEPS if len(low) else 0):
             jacobian = self._jacobian(model, best)
             better = self._stepped(model, best, jacobian, (low, high))
             if better is None:
                 break
             gained, best = best.square - better.square, better
-            if gained < _CONVERGED * best.square:
+            if gained < c.CONVERGED * best.square:
                 jacobian = self._jacobian(model, best)
                 break
         square = best.square / self.size**2
@@ -140,7 +138,7 @@ class BandFits:
         columns = np.concatenate([best.whitened[:-1], jacobian])
         target = best.whitened[-1] + best.nonlinear @ jacobian
         step = _least_squares(columns, target, positive_among(model.linear))[len(model.linear) :] - best.nonlinear
-        for halving in range(_HALVINGS):
+        for halving in range(c.HALVINGS):
             nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
             if np.array_equal(nonlinear, best.nonlinear):
                 return None

@@ -18,14 +18,12 @@ from ga.model.record import Parameter, Term
 from ga.model.terms import SMALLEST, TERMS, canonical
 from ga.model.trajectory import Motion
 from hil.identification.candidates.band import Band
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
 Cell = Callable[[Motion, Array, Array], Array]
 
 _SMALLEST = tuple(SMALLEST.split("+"))
-_SHARE = 0.2  # friction coefficient at which a column of friction is computed: the column is proportional to it
-_LEFT = 1e-3  # an unknown state at the beginning of a piece is ignored if its weight at every row is smaller
-_ALIKE = 1e-3  # relative difference below which two grid values count as one
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +165,7 @@ class Catalogue:
             if term.forgets is not None:
                 own = np.array([values[one.name] for one in term.parameters if one.nonlinear])
                 left = term.forgets(self._whole, own)
-                found += [left] if left[self._places][self.band.rows].max(initial=0.0) > _LEFT else []
+                found += [left] if left[self._places][self.band.rows].max(initial=0.0) > c.FORGOTTEN_STATE else []
         return found
 
     def _added(self, columns: Sequence[Array]) -> tuple[int, ...]:
@@ -210,7 +208,7 @@ def _brought(term: Term, considered: Sequence[str]) -> list[tuple[str, ...]]:
 def _grid(parameter: Parameter, low: float, high: float, *, few: bool) -> list[tuple[int, float]]:
     """Return the grid of a parameter: indices and values. few: whether an unloaded deflection gets only one value."""
     if parameter.kind == "load share":
-        return [(0, min(_SHARE, high))]
+        return [(0, min(c.TRIED_SHARE, high))]
     starts = [0.5] if few and parameter.kind == "unloaded place" else list(parameter.starts)
     values = [(place, low + part * (high - low)) for place, part in enumerate(starts)]
     return [one for one in values if one[1] != parameter.absent] or values
@@ -223,7 +221,7 @@ def _are_ordered(terms: Iterable[str], values: Mapping[str, float]) -> bool:
 
 
 def _is_near(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    return all(abs(one[name] - other[name]) <= _ALIKE * abs(other[name]) for name in one)
+    return all(abs(one[name] - other[name]) <= c.SAME_VALUE * abs(other[name]) for name in one)
 
 
 def _slope(motion: Motion, torque: Array) -> Array:

@@ -20,6 +20,7 @@ from hil.identification.candidates.late import EARLIER, Alternative, Lateness
 from hil.identification.candidates.selection import Selection
 from hil.identification.coupling import Coupling
 from hil.identification.result import Step
+from hil.signals import constants as c
 from hil.signals.constants import FEWEST
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
@@ -31,10 +32,6 @@ _USUAL_FRICTION = "+".join(
     for name, one in TERMS.items()
     if one.selection == "smallest" or (one.selection == "considered" and (one.sticks or one.delays))
 )
-_MOST, _PARTS = 40_000, 8  # samples from which a model is selected, and stretches that they make up
-_STICKING = 1.25  # ratio of the error of slow samples to that of the others, from which the two differ
-_OF_FRICTION = 0.02  # part of the friction: smaller errors of slow samples may come from errors of the rate
-_KNOWN, _NONE = 100, 1e-9  # samples that determine a mean error; part of the fastest rate below which nothing moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +168,10 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_]) -> b
 def _glimpses(signals: Signals) -> Signals:
     """Return parts of long signals, spread evenly over them: enough to tell models apart."""
     whole, places = signals.motion.whole
-    if len(whole) <= _MOST:
+    if len(whole) <= c.SELECTED_FROM:
         return signals
-    firsts = np.linspace(0, len(whole) - _MOST // _PARTS, _PARTS).astype(np.int64)
-    rows = (firsts[:, None] + np.arange(_MOST // _PARTS)).ravel()
+    firsts = np.linspace(0, len(whole) - c.SELECTED_FROM // c.STRETCHES, c.STRETCHES).astype(np.int64)
+    rows = (firsts[:, None] + np.arange(c.SELECTED_FROM // c.STRETCHES)).ravel()
     begins = np.isin(rows, whole.starts) | np.isin(rows, firsts)
     own = np.arange(len(whole))[places]
     kept = np.isin(own, rows)
@@ -192,7 +189,7 @@ def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: 
     slow = ~friction.moving(signals.motion)[seen]
     values = whole.chosen.values
     loaded = size_of(values, "load share") * float(np.mean(np.abs(signals.torque)))
-    little = _OF_FRICTION * (size_of(values, "dry friction") + loaded)
+    little = c.OF_FRICTION * (size_of(values, "dry friction") + loaded)
     return not whole.model.sticks and not _are_worse(slow, motion, whole.residuals, little)
 
 
@@ -215,7 +212,7 @@ def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little
     if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to
         return False
     left, rate = np.abs(residuals), np.abs(motion.dtheta_dot)
-    decade = np.floor(np.log10(np.maximum(rate, _NONE * max(float(rate.max()), np.finfo(float).tiny))))
+    decade = np.floor(np.log10(np.maximum(rate, c.NO_RATE * max(float(rate.max()), np.finfo(float).tiny))))
     held = [left[~described & (decade == one)] for one in np.unique(decade[~described]).tolist()]
-    worst = max([left[~described], *(some for some in held if len(some) >= _KNOWN)], key=np.mean)
-    return bool(worst.mean() > max(_STICKING * left[described].mean(), little))
+    worst = max([left[~described], *(some for some in held if len(some) >= c.KNOWN_MEAN)], key=np.mean)
+    return bool(worst.mean() > max(c.STICKING * left[described].mean(), little))

@@ -19,21 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.terms import TERMS
-from hil.identification.candidates.fits import FOLDS, Candidate, Fits
+from hil.identification.candidates.fits import Candidate, Fits
+from hil.signals import constants as c
 from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import smallest_step
 from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
-
-STRONG = 10.0
-"""The gain that a rare term, a term with a break and a term that the search did not propose must exceed. If a term with
-a larger gain is rejected, the reason is another condition than the gain.
-"""
-
-WORSE, _BETTER = 2.0, 1.0  # standard errors over the blocks: clearly worse, and better
-_CONFUSED = 1000.0  # variance inflation from which a term's parameter cannot be distinguished from others
-_EXPLAINED = 3e-4  # of the mean torque, to which the rate is accurate: what explains it so far needs no further term
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +48,7 @@ class Criterion:
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str, enough: float = 0.0) -> bool:
         """Return whether `term`, which only the larger model has, improves the score by more than `enough`."""
-        if smaller.fit.fitness < _EXPLAINED * self.size:
+        if smaller.fit.fitness < c.EXPLAINED * self.size:
             return False
         if larger.is_at_end(term) or larger.is_impossible(term) or not _is_distinct(larger, term):
             return False
@@ -65,10 +57,10 @@ class Criterion:
         record = TERMS[term]
         doubted = record.breaks or record.selection in {"misfit", "motor torque"}
         doubted |= any(other in larger.terms for other in record.confusable)
-        enough += STRONG if doubted else 0.0
+        enough += c.STRONG if doubted else 0.0
         if min(self.gain(smaller, larger, term), self._gain_where_smooth(smaller, larger, term)) <= enough:
             return False
-        return predicts_better(larger, smaller) >= (_BETTER if doubted else -WORSE)
+        return predicts_better(larger, smaller) >= (c.BETTER if doubted else -c.WORSE)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of `term`, which only the larger model has."""
@@ -148,7 +140,7 @@ def by_rate(count: int, density: float, size: float) -> float:
 
     density, size: see `Criterion`.
     """
-    return count * (2.0 * density * _EXPLAINED * size) ** 2
+    return count * (2.0 * density * c.EXPLAINED * size) ** 2
 
 
 def density_at_zero(residuals: Array, least: float) -> float:
@@ -183,7 +175,7 @@ def _more_parameters(smaller: Candidate, larger: Candidate) -> int:
 def predicts_better(one: Candidate, other: Candidate) -> float:
     """Return by how many standard errors model `one` predicts held-out blocks better than model `other`."""
     better = other.held_out - one.held_out
-    mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(FOLDS)
+    mean, error = float(better.mean()), float(better.std(ddof=1)) / math.sqrt(c.FOLDS)
     return mean / error if error > 0.0 else math.copysign(math.inf, mean)
 
 
@@ -193,4 +185,4 @@ def _is_distinct(fitted: Candidate, term: str) -> bool:
     The term's own parameters need not be distinguishable from each other: the relaxation time of a branch may be
     visible while its stiffness is not.
     """
-    return any(column @ column < _CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))
+    return any(column @ column < c.CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))

@@ -14,6 +14,7 @@ from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind
 from ga.model.trajectory import Motion
 from hil.identification.candidates.held import damping_at, of_jerk
+from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import is_smooth
@@ -26,17 +27,6 @@ from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
 from hil.uncertainty.misfit import Lacking, LackOfFit
 
 Array = NDArray[np.float64]
-
-_FOLLOWED = 0.02  # of the power of the deflection, which a motion that follows from the command may lack
-_ROUNDED = 0.01  # of the residuals' power, which rounding to counts must be for the tests to see it
-_MOST = 0.5  # of Kc and Bc, which a small effect leaves
-_ROWS = 20_000  # samples, of which it is seen how much of an effect there is
-_JUMPS = (0.0, 1.5)  # times its computed size, within which the torque of held set-points is one of these
-_ENOUGH = 2  # pairs of simulated errors, by which it is known that they are far too small
-_SURE = 2.0  # times half a 95 % interval, beyond which none of a dozen bands is by chance
-_MOVES = 0.5  # of the rate's power, which the samples that are tested hold where the joint moves all the time
-_LACKING = 0.03  # of the dynamic stiffness in a band, which a model of another joint lacks
-_OFF_GRID = 0.2  # counts, by which a reading in counts is off their grid at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +109,7 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
     before, added = described.linearised(motion), list[float]()
     for pair in noisier(motion, signals.window):
         added.append(float(np.mean([_added(described, before, one) for one in pair])))
-        if len(added) == _ENOUGH and found.is_far_beyond_noise(max(added)):
+        if len(added) == c.ENOUGH_PAIRS and found.is_far_beyond_noise(max(added)):
             return found
     return found.beside_noise(np.array(added), counted=signals.window.count > 0.0)
 
@@ -153,7 +143,7 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
     signals, model = described.signals, described.model
     if not isinstance(model, CouplingModel) or model.sticks or of_kind(described.names, "moment of inertia"):
         return None
-    if signals.rate_known.all() and tested_motion(described) > _MOVES:
+    if signals.rate_known.all() and tested_motion(described) > c.MOVES:
         return None
     genes, nonlinear = np.split(described.values, [len(model.linear)])
     columns = described.linearised(signals.motion)[:, : len(genes)]
@@ -166,12 +156,12 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
         return None
     bands, speed = lacking.bands, 2.0 * np.pi * lacking.bands.frequency
     part, all_of_it = (np.hypot(one.bands.stiffness, speed * one.bands.damping) for one in (lacking, whole))
-    is_sure = (np.abs(bands.stiffness) > _SURE * bands.stiffness_half_width) | (
-        np.abs(bands.damping) > _SURE * bands.damping_half_width
+    is_sure = (np.abs(bands.stiffness) > c.SURE_BAND * bands.stiffness_half_width) | (
+        np.abs(bands.damping) > c.SURE_BAND * bands.damping_half_width
     )
     parts = np.where(is_sure, part / all_of_it, 0.0)
     most = int(np.argmax(parts))
-    return Lacking(float(bands.frequency[most]), float(parts[most])) if parts[most] > _LACKING else None
+    return Lacking(float(bands.frequency[most]), float(parts[most])) if parts[most] > c.LACKING else None
 
 
 def _of_errors(described: Described, followed: Array) -> Array:
@@ -238,7 +228,7 @@ def _without_errors(signals: Signals) -> Motion:
     sound = window.sound(signals.motion.time)
     motion = followed(signals.motion, window, command, sound)
     left = float(np.var((motion.dtheta - signals.motion.dtheta)[sound]))
-    return motion if left < _FOLLOWED * float(np.var(signals.motion.dtheta)) else signals.motion
+    return motion if left < c.NOT_FROM_COMMAND * float(np.var(signals.motion.dtheta)) else signals.motion
 
 
 def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, columns: Array) -> list[Array]:
@@ -269,10 +259,10 @@ def _is_small(described: Described, residuals: Array, columns: Array, effect: Ar
 
     Model averages contain only small effects: a skew that replaces the whole damping would really be an inertia.
     """
-    rows = slice(None, None, max(1, len(residuals) // _ROWS))
+    rows = slice(None, None, max(1, len(residuals) // c.TESTED))
     both = np.concatenate([columns[rows], effect[rows] * described.kept[rows, None]], axis=1)
     changes = np.linalg.lstsq(both, residuals[rows], rcond=None)[0]
-    left = dict(zip(described.names, (changes[:-1] + (1.0 - _MOST) * described.values).tolist(), strict=True))
+    left = dict(zip(described.names, (changes[:-1] + (1.0 - c.LEFT_BY_SMALL) * described.values).tolist(), strict=True))
     return all(left[name] > 0.0 for name in ("Kc", "Bc") if name in left)
 
 
@@ -285,10 +275,10 @@ def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: A
     """
     damping = damping_at(motion.dtheta_dot, dict(zip(described.names, described.values.tolist(), strict=True)))
     jumps = -(damping * of_jerk(motion))[:, None]
-    rows = slice(None, None, max(1, len(residuals) // _ROWS))
+    rows = slice(None, None, max(1, len(residuals) // c.TESTED))
     both = np.concatenate([columns, jumps * described.kept[:, None]], axis=1)[rows]
     size = float(np.linalg.lstsq(both, residuals[rows], rcond=None)[0][-1])
-    return [jumps] if _JUMPS[0] < size < _JUMPS[1] else []
+    return [jumps] if c.HELD_JUMPS[0] < size < c.HELD_JUMPS[1] else []
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
@@ -298,12 +288,12 @@ def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
     Rounding adds a sawtooth of the model's torque; with noise, only the first harmonics of the sawtooth remain.
     """
     count = smallest_step(signals.as_read)
-    if count**2 / 12.0 < _ROUNDED * float(np.var(residuals)):
+    if (c.ROUNDING * count) ** 2 < c.ROUNDED_RESIDUALS * float(np.var(residuals)):
         return []
     levels = np.unique(signals.as_read)
     number = np.round((levels - levels[0]) / count)
     count, first = np.polyfit(number, levels, 1).tolist()
-    if float(np.abs(first + count * number - levels).max()) > _OFF_GRID * count:
+    if float(np.abs(first + count * number - levels).max()) > c.OFF_COUNTS * count:
         return []
     place = (signals.torque - residuals - first) / count
     waves = [wave(2.0 * np.pi * turns * place) for turns in (1.0, 2.0) for wave in (np.sin, np.cos)]

@@ -13,21 +13,13 @@ from ga.model.coupling import CouplingModel
 from ga.model.separable import Fit, Problem, best_start, compass_search, descend
 from ga.model.terms import TERMS, canonical, of_kind, size_of
 from ga.model.trajectory import Motion
+from hil.signals import constants as c
 from hil.signals.rate.windows import Window, is_smooth
 
 Array = NDArray[np.float64]
 
 LATE = tuple(name for name, one in TERMS.items() if one.delays or of_kind((p.name for p in one.parameters), "lag time"))
 """The terms that delay the torque reading."""
-
-FOLDS = 10
-"""The number of blocks in time into which held-out validation divides a recording; two blocks at a time are held
-out.
-"""
-
-_STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
-_MARGIN = 1e-4  # of a range, within which a value is at its end
-_OUTERMOST = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +37,7 @@ class Candidate:
 
     @cached_property
     def held_out(self) -> Array:
-        """The errors (FOLDS,), N m, of blocks, each from a fit without that block."""
+        """The errors (c.FOLDS,), N m, of blocks, each from a fit without that block."""
         return _held_out(self.problem, self.fit)
 
     @property
@@ -106,7 +98,7 @@ class Candidate:
     def is_at_end(self, term: str) -> bool:
         """Return whether a parameter of the term reached an end of its bounds: then the data reject the term."""
         problem, values = self.problem, self.fit.nonlinear
-        near = _MARGIN * (problem.high - problem.low)
+        near = c.AT_END * (problem.high - problem.low)
         open_ended = np.array([parameter.open_ended for parameter in self.model.nonlinear], dtype=bool)
         ends = (values <= problem.low + near) | ((values >= problem.high - near) & ~open_ended)
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))
@@ -130,7 +122,7 @@ class Candidate:
         if opened is None:
             return False
         lowest, highest = opened(np.array([values[name] for name in own(term)]))
-        errors = _OUTERMOST * self.error
+        errors = c.GAP_OF_NOISE * self.error
         return bool(highest - readings.min() < errors or readings.max() - lowest < errors)
 
     def is_stop(self, term: str) -> bool:
@@ -138,7 +130,7 @@ class Candidate:
         if not of_kind(own(term), "side stiffness"):
             return False
         stiffness, half = self.values["Kc"], abs(size_of(self.values, "side stiffness"))
-        return stiffness + half > _STOP * (stiffness - half)
+        return stiffness + half > c.STOP * (stiffness - half)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,12 +231,12 @@ def _held_out(problem: Problem, found: Fit) -> Array:
     found: the fit to all samples, whose nonlinear parameters are used.
     """
     thin = problem.thinned()
-    block = np.arange(len(thin.torque)) * FOLDS // len(thin.torque)
-    errors = np.empty(FOLDS)
-    for first in range(FOLDS // 2):
-        out = block % (FOLDS // 2) == first
+    block = np.arange(len(thin.torque)) * c.FOLDS // len(thin.torque)
+    errors = np.empty(c.FOLDS)
+    for first in range(c.FOLDS // 2):
+        out = block % (c.FOLDS // 2) == first
         left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.nonlinear)))
-        for number in (first, first + FOLDS // 2):
+        for number in (first, first + c.FOLDS // 2):
             errors[number] = left[block[out] == number].mean()
     return errors
 

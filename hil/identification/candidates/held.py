@@ -9,25 +9,17 @@ like less damping, and like a delay of a few hundredths of a tick.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.terms import size_of
 from ga.model.trajectory import Motion
+from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.uncertainty.deflection.instruments import followed, is_instrument
 
 Array = NDArray[np.float64]
-
-TWELFTH = 1.0 / 12.0
-DRIVES: Final = tuple(np.geomspace(4.0, 64.0, 9).tolist())
-"""Natural frequencies of drives, Hz; each half octave is equally likely."""
-
-_DAMPED = 0.75  # the damping ratio of a drive
-_DENSE = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
-_MOST = 0.1  # of the rate, that a drive which the readings still follow takes off
 
 
 def of_jerk(motion: Motion) -> Array:
@@ -37,7 +29,7 @@ def of_jerk(motion: Motion) -> Array:
     acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The true rate is therefore lower
     by h^2/12 (w^2 v + 2 z w a + j), of which only the last part is known.
     """
-    return TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
+    return c.TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
 
 
 def taken_off(motion: Motion, frequency: float) -> Array | None:
@@ -47,10 +39,10 @@ def taken_off(motion: Motion, frequency: float) -> Array | None:
     See `of_jerk`. None if the difference is so large that the readings would not follow the drive.
     """
     speed = 2.0 * np.pi * frequency * _step(motion)  # w h
-    if TWELFTH * speed**2 > _MOST:
+    if c.TWELFTH * speed**2 > c.TAKEN_OFF:
         return None
-    of_acceleration = 2.0 * TWELFTH * _DAMPED * speed * _step(motion)
-    return TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+    of_acceleration = 2.0 * c.TWELFTH * c.DRIVE_DAMPING * speed * _step(motion)
+    return c.TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
 
 
 def most_taken_off(signals: Signals) -> float:
@@ -64,7 +56,7 @@ def most_taken_off(signals: Signals) -> float:
     motion, window, command = signals.motion, signals.window, signals.command
     if window is None or not is_instrument(command) or motion.part_of is not None:
         return 0.0
-    if 1.0 / _step(motion) > _DENSE * window.band[1]:
+    if 1.0 / _step(motion) > c.DENSE_READINGS * window.band[1]:
         return 0.0
     sound = window.sound(motion.time)
     smooth = followed(motion, window, command, sound)
@@ -72,7 +64,7 @@ def most_taken_off(signals: Signals) -> float:
     held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
     found = np.linalg.lstsq(columns - columns.mean(axis=0), held - held.mean(), rcond=None)[0]
     is_behind = bool((found[0] * found[1:] > 0.0).all())
-    return float(min(TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if is_behind else 0.0
+    return float(min(c.TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if is_behind else 0.0
 
 
 def _step(motion: Motion) -> float:

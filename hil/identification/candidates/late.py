@@ -17,8 +17,8 @@ from ga.model.terms import is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import FORGOTTEN
 from hil.identification.candidates.criterion import Criterion
 from hil.identification.candidates.fits import LATE, Candidate, Fits, own
-from hil.identification.candidates.held import DRIVES, damping_at, taken_off
-from hil.uncertainty.criteria import CELLS, LONGEST_SKEW, TICK_SHARE
+from hil.identification.candidates.held import damping_at, taken_off
+from hil.signals import constants as c
 from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
@@ -108,7 +108,7 @@ class LateReading:
         square = self.criterion.ratio(without, chosen) / self.criterion.blurred(chosen, _SKEW)
         if not square > 0.0:
             return ()
-        found, usual = size_of(chosen.values, "delay"), TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
+        found, usual = size_of(chosen.values, "delay"), c.TICK_SHARE * float(np.median(np.diff(self.fits.motion.time)))
         error = abs(found) / math.sqrt(square)
         criterion = found**2 / (error**2 + usual**2) + math.log1p((usual / error) ** 2) - AKAIKE - _RARE
         return (Alternative(chosen.anchored, chosen.fit.nonlinear, criterion, usual_skew=True),)
@@ -119,8 +119,8 @@ class LateReading:
         If the model has neither a delay nor a lag, these are each likely delay and lag; otherwise each branch in their
         place. In slow motion the data hardly determine the delay: the best fit may be far from the truth, early, or at
         a bound. Therefore every likely delay is fitted and weighted by its likelihood. Before the data are seen, one
-        bench in ten has a delay of up to `LONGEST_SKEW` ticks, and one in ten a cell with a bandwidth out of `CELLS`,
-        each octave equally likely. For torques with an inertia, which hides the effect of a delay in fast motion, one
+        bench in ten has a delay of up to 1.5 ticks, and one in ten a cell with a bandwidth of 15 to 480 Hz, each octave
+        equally likely. For torques with an inertia, which hides the effect of a delay in fast motion, one
         bench in three has each.
         """
         try:
@@ -134,9 +134,9 @@ class LateReading:
         """Yield Kc and Bc for each likely delay, lag and drive. chosen: a model without a skew."""
         if set(of_role("channel")).intersection(chosen.terms):
             return
-        longest = LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        longest = c.LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         delays = longest * np.arange(1, _DELAYS + 1) / _DELAYS
-        lags = 0.5 / math.pi / np.geomspace(CELLS[1], CELLS[0], _LAGS)
+        lags = 0.5 / math.pi / np.geomspace(c.CELLS[1], c.CELLS[0], _LAGS)
         likely = ((_SKEW, delays, 2 * _DELAYS), (_SKEW, -delays, 2 * _DELAYS), (_LAG, lags, _LAGS))
         possible = [one for one in likely if one[0] in self.accounts and is_addable(one[0], chosen.terms)]
         if possible:
@@ -167,8 +167,8 @@ class LateReading:
             return
         columns, target = fitted.problem.linearised(fitted.fit)
         damping, blurred = self._damping(fitted), self.criterion.blurred(fitted, *of_role("coupling"))
-        before, rare = fitted.damping, rare + 2.0 * math.log(len(DRIVES))
-        for frequency in DRIVES:
+        before, rare = fitted.damping, rare + 2.0 * math.log(len(c.DRIVES))
+        for frequency in c.DRIVES:
             if (off := taken_off(self.fits.motion, frequency)) is None:
                 return
             late = target + damping * off
@@ -177,7 +177,7 @@ class LateReading:
             criterion = rare - self.criterion.gained(fitted.fit.fitness - left) / blurred
             stiffness, found = values[:2].tolist()
             if criterion < _UNLIKELY:
-                yield Lateness(stiffness, found, abs(found - before) / 12.0**0.5, criterion)
+                yield Lateness(stiffness, found, c.ROUNDING * abs(found - before), criterion)
             before = found
 
     def _damping(self, fitted: Candidate) -> Array:
@@ -195,7 +195,7 @@ class LateReading:
         sign. The size of the skew is that of an ordinary recorder first, and then a shorter one if the data determine
         it much better.
         """
-        usual, terms = TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, _SKEW)
+        usual, terms = c.TICK_SHARE * float(np.median(np.diff(self.fits.motion.time))), (*chosen.terms, _SKEW)
         if _SKEW not in self.accounts or not is_addable(_SKEW, chosen.terms):
             return 0.0
         skew, bend = usual, _NARROW
@@ -221,7 +221,7 @@ class LateReading:
             criterion = rare - self._ratio_when_settled(chosen, late, abs(time)) / blurred
             if not math.isfinite(criterion) or criterion > _UNLIKELY or late.damping <= 0.0:
                 return
-            spread = abs(late.damping - before) / 12.0**0.5  # times between this one and the one before are as likely
+            spread = c.ROUNDING * abs(late.damping - before)  # times between this one and the one before are as likely
             yield Lateness(late.stiffness, late.damping, spread, criterion)
             before = late.damping
 
@@ -291,7 +291,7 @@ class LateReading:
             return
         if late * chosen.stiffness < _HIDDEN * chosen.damping:
             return
-        is_usual = term == _BRANCHES[0] and late <= LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
+        is_usual = term == _BRANCHES[0] and late <= c.LONGEST_SKEW * float(np.median(np.diff(self.fits.motion.time)))
         blurred, before = 0.0, math.nan
         for constant in np.geomspace(SHORTEST_RELAXATION, 1.0, _CONSTANTS) / self.fits.highest:
             branch = self.fits.with_value((*others, term), chosen, float(constant))
@@ -299,7 +299,7 @@ class LateReading:
             rare = (_RARE if is_usual else 0.0) + 2.0 * math.log(_CONSTANTS)
             criterion = rare - self._ratio_when_settled(chosen, branch, float(constant)) / blurred
             is_possible = 0.0 < branch.values[own(term)[0]] <= _STIFFEST * branch.stiffness and branch.damping > 0.0
-            spread = abs(branch.damping - before) / 12.0**0.5
+            spread = c.ROUNDING * abs(branch.damping - before)
             if is_possible and math.isfinite(spread) and criterion < _UNLIKELY:
                 yield Lateness(branch.stiffness, branch.damping, spread, criterion)
             before = branch.damping

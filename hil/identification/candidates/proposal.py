@@ -17,14 +17,13 @@ from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFit, BandFits
 from hil.identification.candidates.catalogue import Catalogue, lag_of, model_of
 from hil.identification.candidates.search import Candidate, Search
+from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 4
 _SMALLEST = tuple(SMALLEST.split("+"))
 _LATE = ("branch", "mass", "channel")
-_FITTED = 2  # candidates of different terms that a round fits
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ def proposed(
     fits = _fits(search)
     search = _sharpened(search, _fitted(search, fits, search.first()))
     best: BandFit | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(c.ROUNDS):
         fits, found = _fits(search), search.found()
         tried = [] if best is None else [fits.fit(best.terms, best.values)]
         tried += [_fitted(search, fits, one, best) for one in _different(search, [one for _, one in found])]
@@ -117,7 +116,7 @@ def _different(search: Search, found: Sequence[Candidate]) -> list[Candidate]:
     first: dict[frozenset[str], Candidate] = {}
     for one in found:
         first.setdefault(frozenset(search.terms(one)), one)
-    return list(first.values())[:_FITTED]
+    return list(first.values())[: c.FITTED]
 
 
 def _coupling_torque(catalogue: Catalogue, fit: BandFit) -> Array:

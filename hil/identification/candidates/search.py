@@ -19,20 +19,11 @@ from numpy.typing import NDArray
 from ga.model.record import Term
 from ga.model.terms import SMALLEST, TERMS, lacking
 from hil.identification.candidates.catalogue import Catalogue, Point
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
 Candidate = tuple[int, ...]
 """The indices of a candidate's points in the catalogue, ascending."""
-
-_CHANCE = {"smallest": 1.0, "considered": 0.5, "motor torque": 0.1, "misfit": 0.1}  # prior, by class
-_SELDOM, _BREAKING = 0.03, 0.02  # of a term rarer than its class; of one with a break, which fits much by chance
-_EXACT = 5e-4  # part of the torque that models and rates are in error by at least
-_WINDOW = 12.0  # a candidate whose score is lower than the best by more is not expanded
-MARGIN = 6.0  # a score at a grid value may be lower by this than at the fitted value
-_EXPANDED = 24  # candidates that are expanded, at most
-_ALONE = 1e-7  # part of a column's power that must be orthogonal to the other columns
-_BLOCKS = 20  # blocks in time, from which the number of independent samples is estimated
-_OF_KIND = 3  # best points with the same terms that are added to a candidate
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +40,7 @@ class Score:
         besides those of the smallest model.
         """
         samples = self.count / self.spread
-        left = np.maximum(square, 0.0) / self.count + _EXACT**2
+        left = np.maximum(square, 0.0) / self.count + c.MODEL_ERROR**2
         return np.asarray(-samples * np.log(left) - np.asarray(parameters) * math.log(max(samples, math.e)))
 
     @classmethod
@@ -60,13 +51,13 @@ class Score:
         would. The spread is the ratio of the two variances.
         """
         table = table / (np.sqrt((table**2).mean(axis=1, keepdims=True)) + np.finfo(float).tiny)
-        parts = np.array_split(table * residuals, _BLOCKS, axis=1)
+        parts = np.array_split(table * residuals, c.SEARCH_BLOCKS, axis=1)
         scores = np.array([part.sum(axis=1) for part in parts])
         scores -= scores.mean(axis=0)
         power = float(residuals @ residuals) / len(residuals)
         inverse = np.linalg.pinv(table @ table.T, rcond=1e-9, hermitian=True)
         varied = float(np.trace(inverse @ scores.T @ scores)) / (len(table) * max(power, np.finfo(float).tiny))
-        return cls(len(residuals), max(1.0, varied * _BLOCKS / (_BLOCKS - 1)))
+        return cls(len(residuals), max(1.0, varied * c.SEARCH_BLOCKS / (c.SEARCH_BLOCKS - 1)))
 
 
 def odds(terms: Iterable[str]) -> float:
@@ -77,8 +68,8 @@ def odds(terms: Iterable[str]) -> float:
 def _chance(record: Term) -> float:
     if record.bench == "always":
         return 1.0
-    usual = _SELDOM if record.seldom else _CHANCE[record.selection]
-    return min(usual, _BREAKING) if record.breaks else usual
+    usual = c.PRIOR_SELDOM if record.seldom else c.PRIOR[record.selection]
+    return min(usual, c.PRIOR_BREAKING) if record.breaks else usual
 
 
 class Search:
@@ -167,7 +158,7 @@ class Search:
         best: Candidate = ()
         while True:
             scores = self.beside(best)
-            likely = np.argsort(-scores)[: 2 * _OF_KIND]
+            likely = np.argsort(-scores)[: 2 * c.GRID_POINTS]
             larger = (_with(best, number) for number in likely.tolist() if scores[number] > -np.inf)
             better = next((one for one in larger if self.rated(one) > self.rated(best)), None)
             if better is None:
@@ -179,17 +170,17 @@ class Search:
         start = self.first()
         best, queue, done = self.rated(start), [(-self.rated(one), one) for one in {(), start}], set[Candidate]()
         heapq.heapify(queue)
-        while queue and len(done) < _EXPANDED:
+        while queue and len(done) < c.EXPANDED:
             against, candidate = heapq.heappop(queue)
-            if candidate in done or (done and -against < best - _WINDOW):
+            if candidate in done or (done and -against < best - c.OCCAM):
                 continue
             done.add(candidate)
             for one in self._neighbours(candidate, best):
                 if one not in self._seen:
                     best = max(best, self.rated(one))
-                    if self.rated(one) > best - _WINDOW:
+                    if self.rated(one) > best - c.OCCAM:
                         heapq.heappush(queue, (-self.rated(one), one))
-        inside = [(score, one) for one, score in self._seen.items() if score > best - _WINDOW]
+        inside = [(score, one) for one, score in self._seen.items() if score > best - c.OCCAM]
         return sorted(inside, reverse=True)
 
     def learn_spread(self) -> None:
@@ -201,20 +192,20 @@ class Search:
 
     def showing(self) -> list[Candidate]:
         """Return candidates of one point: the best of each term that has nonlinear parameters and may help alone."""
-        likely = self._best_of_kinds(self.beside(()), self.rated(()) + MARGIN, 1)
+        likely = self._best_of_kinds(self.beside(()), self.rated(()) + c.GRID_LOSS, 1)
         return [(number,) for number in likely if self.points[number].values]
 
     def _neighbours(self, candidate: Candidate, best: float) -> Iterator[Candidate]:
         """Yield the candidates with one point more, one point less, or one point replaced by another."""
-        least = best - _WINDOW - MARGIN
-        for number in self._best_of_kinds(self.beside(candidate), least, _OF_KIND):
+        least = best - c.OCCAM - c.GRID_LOSS
+        for number in self._best_of_kinds(self.beside(candidate), least, c.GRID_POINTS):
             yield _with(candidate, number)
         for number in candidate:
             rest = tuple(one for one in candidate if one != number)
             if _is_complete(self.terms(rest)):
                 yield rest
             others = np.where(self._conflicts[number], self.beside(rest), -np.inf)
-            for other in self._best_of_kinds(others, least, _OF_KIND):
+            for other in self._best_of_kinds(others, least, c.GRID_POINTS):
                 yield _with(rest, other)
 
     def _best_of_kinds(self, scores: Array, least: float, count: int) -> list[int]:
@@ -256,7 +247,7 @@ class Search:
         own = self._gram[columns[:, :, None], columns[:, None, :]]
         own = own - np.einsum("kpi,kpj->pij", across[:, columns], across[:, columns])
         power = np.diagonal(self._gram)[columns]
-        alone = free[columns] & (np.einsum("pii->pi", own) > _ALONE * power)
+        alone = free[columns] & (np.einsum("pii->pi", own) > c.NEW_COLUMN * power)
         own = np.where(alone[:, :, None] & alone[:, None, :], own, 0.0)
         own += np.eye(columns.shape[1]) * np.where(alone, 1e-9 * power, 1.0)[:, None, :]
         towards = np.where(alone, left[columns], 0.0)

@@ -12,17 +12,15 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
-from hil.identification.candidates.criterion import STRONG, Criterion, criterion_of
+from hil.identification.candidates.criterion import Criterion, criterion_of
 from hil.identification.candidates.fits import Candidate, Fits, own
 from hil.identification.candidates.late import Alternative, Lateness, LateReading
 from hil.identification.candidates.proposal import Proposal, proposed
 from hil.identification.result import Step
+from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
-
-_RIVAL = 1.1  # a term that makes the fitness worse than by this factor is none
-_EXCHANGES = 6  # removed and added terms, at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,7 @@ def select(
     for rival in rivals:
         values |= {term: rival.values for term in rival.terms if term not in values}
     chosen = _first_possible(fits, models)
-    for _ in range(_EXCHANGES):
+    for _ in range(c.EXCHANGES):
         beside = Beside(fits, criterion_of(fits, chosen, len(terms)), terms, values)
         better = beside.better(chosen)
         if better is chosen:
@@ -149,14 +147,14 @@ class Beside:
             if is_addable(term, others) and (term in self.values or TERMS[term].linear):
                 near = {**self.values.get(term, {}), **chosen.values}
                 more = self.fits.candidate_or_none((*others, term), near)
-                if more and more.fit.fitness < _RIVAL * chosen.fit.fitness:
+                if more and more.fit.fitness < c.RIVAL * chosen.fit.fitness:
                     yield more
 
 
 def _least(term: str) -> float:
     """Return the gain that a term must have to stay: a skew, which every recorder has, goes on strong evidence only."""
     record = TERMS[term]
-    return -STRONG if record.bench == "always" and record.selection != "smallest" else 0.0
+    return -c.STRONG if record.bench == "always" and record.selection != "smallest" else 0.0
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:

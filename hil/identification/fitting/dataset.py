@@ -14,6 +14,7 @@ from hil.identification.candidates.choice import Choice
 from hil.identification.fitting.disk_table import DiskTable
 from hil.identification.fitting.unloaded import Rest, Unloaded, unloaded
 from hil.recording.ahead import Progress, ahead
+from hil.signals import constants as c
 from hil.signals.defects import Defects
 from hil.signals.prepare import LongRecording, Signals, joined, prepare, refuse_at_rest
 from hil.signals.quality import assess, recording_diagnostics
@@ -23,9 +24,6 @@ from hil.uncertainty.blocks import Block, Blocks
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
 """A function that returns the model for signals; its second argument says whether these are all signals."""
-
-IN_MEMORY = 4_000_000
-"""The largest number of rows, all recordings together, for which the signals are held in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +68,7 @@ def open_dataset(
     for source in sources:
         source.verify(progress)
     rows = sum(len(source.recording) for source in sources)
-    if rows <= IN_MEMORY:
+    if rows <= c.IN_MEMORY:
         yield _in_memory(sources, choose, rest)
         return
     long = [LongRecording(source.recording, source.table) for source in sources]

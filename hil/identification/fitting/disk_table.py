@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from hil.recording.ahead import Progress, ahead
 from hil.recording.output import check_space, writing
+from hil.signals import constants as c
 from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
-
-_ROWS = 1 << 18  # rows read at a time
 
 
 class DiskTable:
@@ -72,8 +71,8 @@ class DiskTable:
                 self._progress("reading the samples again", done / self.rows)
 
     def _stored(self) -> Iterator[Block]:
-        for start in range(0, self.rows, _ROWS):
-            count = min(_ROWS, self.rows - start)
+        for start in range(0, self.rows, c.TABLE_ROWS):
+            count = min(c.TABLE_ROWS, self.rows - start)
             columns, torque = np.empty((count, self._width)), np.empty(count)
             with self._one_reader:
                 self._fill(columns, start * self._width)

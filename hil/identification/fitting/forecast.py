@@ -11,10 +11,9 @@ from ga.bounds import Bounds
 from ga.evolution.evolution import Settings
 from ga.trials.trials import duration
 from hil.recording.ahead import Progress
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-_LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
 
 
 def forecast(
@@ -31,7 +30,7 @@ def forecast(
 
     For a resumed search, the part that is already done is subtracted.
     """
-    if settings.generations < _LONG_SEARCH:
+    if settings.generations < c.LONG_SEARCH:
         return
     seconds = duration(columns, torque, bounds, settings, trials=trials, workers=workers)
     count = f"{trials * settings.generations:,} evaluations"

@@ -9,23 +9,14 @@ value between these, is used.
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-_EIGHTH: Final = 1.0 / 8.0
-_OFTEN: Final = 0.5  # part of the samples with a new set-point, from which the command does not step
-_LATEST: Final = 64  # samples, after which the acceleration that follows a step is at its largest
-_ROUNDED: Final = 2.0  # times the acceleration that is left of a jump behind the low-pass of such a motion
-_BESIDE: Final = (
-    3  # samples on either side, to the median of which a change of the acceleration that is no jump is alike
-)
 
 
 def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
@@ -35,30 +26,30 @@ def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
     command was recorded.
     """
     whole, rows = motion.whole
-    if whole.behind is None or command is None or len(whole) <= 2 * _LATEST or not np.ptp(command) > 0.0:
+    if whole.behind is None or command is None or len(whole) <= 2 * c.SLOWEST_STEP or not np.ptp(command) > 0.0:
         return None
     steps, period = np.diff(command, prepend=command[:1]), float(np.median(np.diff(whole.time)))
-    if np.count_nonzero(steps) > _OFTEN * len(steps):
+    if np.count_nonzero(steps) > c.OFTEN * len(steps):
         jumps = _prescribed(whole.dtheta, command, period)
     else:
         jumps = _following(whole.dtheta_ddot, steps)
-    return whole.filtered(_EIGHTH * period * jumps)[rows]
+    return whole.filtered(c.EIGHTH * period * jumps)[rows]
 
 
 def _prescribed(dtheta: Array, command: Array, period: float) -> Array:
     """Return the jumps (n,), rad/s^2, of the acceleration of a motion that the command prescribes."""
     size = float(np.cov(dtheta, command)[0, 1] / np.var(command))
     changes = np.diff(command, n=3, prepend=command[:1], append=command[[-1, -1]]) * (size / period**2)
-    return np.asarray(changes - np.median(sliding_window_view(np.pad(changes, _BESIDE), 2 * _BESIDE + 1), axis=1))
+    return np.asarray(changes - np.median(sliding_window_view(np.pad(changes, c.BESIDE), 2 * c.BESIDE + 1), axis=1))
 
 
 def _following(acceleration: Array, steps: Array) -> Array:
     """Return the jumps (n,), rad/s^2, of an acceleration (n,) that follows steps (n,) of the command a few samples
     later.
     """
-    count = len(steps) - _LATEST
-    after = np.array([steps[:count] @ acceleration[lag : lag + count] for lag in range(_LATEST)])
+    count = len(steps) - c.SLOWEST_STEP
+    after = np.array([steps[:count] @ acceleration[lag : lag + count] for lag in range(c.SLOWEST_STEP)])
     late = int(np.argmax(after >= 0.5 * after.max()))
     found = np.zeros(len(steps))
-    found[late:] = _ROUNDED * after.max() / float(steps @ steps) * steps[: len(steps) - late]
+    found[late:] = c.LOW_PASSED_JUMP * after.max() / float(steps @ steps) * steps[: len(steps) - late]
     return found

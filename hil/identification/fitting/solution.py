@@ -28,11 +28,10 @@ from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved, unproven
 from hil.identification.fitting.forecast import forecast
 from hil.recording.ahead import Progress
+from hil.signals import constants as c
 from hil.uncertainty.blocks import Blocks
 
 Array = NDArray[np.float64]
-
-_TRIALS, _NONLINEAR_TRIALS = 30, 5  # the paper's; a search for a skew or gap takes half a second
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solu
     trials, best = search_nonlinear(
         problem,
         search.settings,
-        trials=search.trials or _NONLINEAR_TRIALS,
+        trials=search.trials or c.NONLINEAR_TRIALS,
         seed=search.seed,
         workers=search.workers,
         progress=None if progress is None else partial(progress, "searching"),
@@ -138,7 +137,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
     if progress is not None and search.settings.scheme == "steady-state":
-        many, workers = search.trials or _TRIALS, search.workers
+        many, workers = search.trials or c.TRIALS, search.workers
         forecast(columns, torque, bounds, search.settings, trials=many, workers=workers, progress=progress)
     try:
         trials = run_trials(
@@ -146,7 +145,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
             torque,
             bounds,
             search.settings,
-            trials=search.trials or _TRIALS,
+            trials=search.trials or c.TRIALS,
             seed=search.seed,
             workers=search.workers,
             start=None if data.whole else reduced.start,

@@ -25,11 +25,11 @@ from ga.model.record import Regressors, Term
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
 from hil.identification.coupling import Coupling
+from hil.signals import constants as c
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import covariance
-from hil.uncertainty.criteria import EVIDENCE_AGAINST
 
 Array = NDArray[np.float64]
 
@@ -41,12 +41,6 @@ Span = tuple[float, float, str]
 """The smallest and the largest Kc, N m/rad, of a model without a single Kc, and the quantity on which Kc depends ("":
 Kc varies only by errors).
 """
-
-
-_ROWS = 6000  # of all, by which the curve is found
-_DEGREES = (1, 3, 5, 7, 9)  # of the curve, the first beyond which nothing is evident
-_NEAR = 1.0 / 40.0  # of the motion, than which two places anywhere in it are nearer in one case of twenty
-_RESOLVED = 1e-4  # of the torque's range, below which no disagreement changes anything that is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +83,7 @@ class Unloaded:
         if not turns or not self.agreed:
             return None
         turn, half = values[turns[0]], abs(size_of(values, "side stiffness"))
-        if abs(turn - min(max(turn, self.low), self.high)) <= _NEAR * motion:
+        if abs(turn - min(max(turn, self.low), self.high)) <= c.SAME_PLACE * motion:
             return None
         return values["Kc"] - half, values["Kc"] + half, DEFLECTION
 
@@ -144,7 +138,7 @@ def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
     if agreeing:
         return _between(agreeing, agreeing[0], agreed=True)
     known = [place for place in (encoder, balance, symmetric) if place is not None]
-    near = [place for place in known if abs(place - known[0]) <= _NEAR * float(np.ptp(angle))]
+    near = [place for place in known if abs(place - known[0]) <= c.SAME_PLACE * float(np.ptp(angle))]
     if len(near) > 1:
         return _between(near, near[-1], agreed=True)
     return _between([*known, float(angle.min()), float(angle.max())], [middle, *known][-1], agreed=False)
@@ -158,7 +152,7 @@ def _agreeing(curve: _Curve, encoder: float | None, balance: float | None) -> li
     if encoder is not None and curve.imbalance(encoder) <= curve.limit:
         return places
     against = [curve.asymmetry(place) for place in places]
-    most = min(curve.limit, min(against, default=0.0) - EVIDENCE_AGAINST)
+    most = min(curve.limit, min(against, default=0.0) - c.EVIDENCE_AGAINST)
     return [place for place, gain in zip(places, against, strict=True) if gain <= most]
 
 
@@ -208,7 +202,7 @@ class _Curve:
         return np.array([Legendre.basis(k, self.domain)(place) for k in range(len(self.coefficients))])
 
     def _evidence(self, series: Array) -> float:
-        variance = max(float(series @ self.covariance @ series), 0.0) + (_RESOLVED * self.scale) ** 2
+        variance = max(float(series @ self.covariance @ series), 0.0) + (c.RESOLVED * self.scale) ** 2
         return float(series @ self.coefficients) ** 2 / variance
 
     def crossing(self, order: int) -> float | None:
@@ -223,7 +217,7 @@ def _curve(signals: Signals) -> _Curve:
     """Return the static torque, fitted together with damping and friction. Raises RuntimeError if they cannot be
     distinguished.
     """
-    for degree, more in pairwise(_DEGREES):
+    for degree, more in pairwise(c.CURVE_DEGREES):
         richer = _fitted(signals, more)
         if (richer.coefficients**2 <= richer.limit * np.diag(richer.covariance))[degree + 1 :].all():
             return _fitted(signals, degree)
@@ -231,7 +225,7 @@ def _curve(signals: Signals) -> _Curve:
 
 
 def _fitted(signals: Signals, degree: int) -> _Curve:
-    every = slice(None, None, max(1, len(signals) // _ROWS))
+    every = slice(None, None, max(1, len(signals) // c.CURVE_ROWS))
     motion, torque = signals.motion, signals.coupling_torque[every]
     angle, rate = motion.dtheta[every], motion.dtheta_dot[every]
     ends = (float(motion.dtheta.min()), float(motion.dtheta.max()))
@@ -242,5 +236,5 @@ def _fitted(signals: Signals, degree: int) -> _Curve:
     if not found.distinct[: degree + 1].all():
         raise RuntimeError("the motion does not separate stiffness from damping and friction")
     own = slice(degree + 1)
-    limit = math.log(len(torque)) - EVIDENCE_AGAINST
+    limit = math.log(len(torque)) - c.EVIDENCE_AGAINST
     return _Curve(values[own], found.matrix[own, own], ends, float(np.ptp(torque)), limit)

@@ -11,12 +11,11 @@ from ga.model.record import positive_among
 from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
+from hil.signals import constants as c
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import distinct as decided
 
 Array = NDArray[np.float64]
-
-_FOLDS = 10  # blocks in time; every fifth is held out
 
 
 def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np.bool_]) -> Validation:
@@ -27,7 +26,7 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np
     """
 
     def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray(number * _FOLDS // data.samples % 5 == 2)
+        return np.asarray(number * c.FOLDS // data.samples % 5 == 2)
 
     def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
         return ~is_out(number)

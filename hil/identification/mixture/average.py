@@ -37,9 +37,10 @@ from hil.identification.mixture.deflection import read_with_errors
 from hil.identification.mixture.largest import BENCH, Largest, contains, largest_model, own_values
 from hil.identification.mixture.rate_laws import falling, growing
 from hil.identification.result import Step
+from hil.signals import constants as c
 from hil.signals.constants import NORMAL, UPPER
 from hil.signals.prepare import Signals
-from hil.uncertainty.criteria import COUPLING, EVIDENCE_AGAINST, dampings_behind_filter
+from hil.uncertainty.criteria import dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average
 
 Array = NDArray[np.float64]
@@ -103,13 +104,13 @@ def averaged(
         found += [values for values, _ in around]
         criteria += [one.criterion + more for _, more in around]
     for late in choice.lateness:
-        stiff, damped = (found[0][name].half_width for name in COUPLING)
+        stiff, damped = (found[0][name].half_width for name in c.COUPLING)
         damped = float(np.hypot(damped, NORMAL * late.spread))
         found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
         criteria.append(late.criterion)
     weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
     weights /= weights.sum()
-    mixed = {name: _mixed(weights, [one[name] for one in found]) for name in COUPLING}
+    mixed = {name: _mixed(weights, [one[name] for one in found]) for name in c.COUPLING}
     bc, hidden = mixed["Bc"], NORMAL * _hidden(selected, kept, mixed["Kc"].value)
     return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, hidden)))}
 
@@ -228,8 +229,8 @@ def _around(
     if contains(largest, model, data):
         return means
     own = own_values(model, data)
-    values = {name: own[name] + float(change[largest.names.index(name)]) for name in COUPLING}
-    return [({name: _about(values[name], mean[name]) for name in COUPLING}, more) for mean, more in means]
+    values = {name: own[name] + float(change[largest.names.index(name)]) for name in c.COUPLING}
+    return [({name: _about(values[name], mean[name]) for name in c.COUPLING}, more) for mean, more in means]
 
 
 def _about(value: float, mean: Averaged) -> Averaged:
@@ -262,11 +263,11 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
     return {
         name: Averaged(float(found.values[at]), float(sampling.quantile[at] * found.errors[at]))
         for at, name in enumerate(names)
-        if name in COUPLING
+        if name in c.COUPLING
     }
 
 
 def _is_doubtful(step: Step) -> bool:
     """Return whether the evidence for or against the term of a step is weak."""
     term = TERMS[step.term]
-    return term.linear and term.selection != "smallest" and abs(step.gain) < -EVIDENCE_AGAINST
+    return term.linear and term.selection != "smallest" and abs(step.gain) < -c.EVIDENCE_AGAINST

@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.identification.coupling import Coupling
+from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
-from hil.uncertainty.criteria import COUPLING
 from hil.uncertainty.deflection.correction import DeflectionErrors, deflection_errors
 from hil.uncertainty.deflection.fitted import Fitted
 
 Array = NDArray[np.float64]
-
-_LOOKED = 1 << 16  # readings of the torque that show its counts
 
 
 def read_with_errors(
@@ -26,7 +24,7 @@ def read_with_errors(
     half the intervals of the values, SI.
     """
     window, motion = signals.window, signals.motion
-    places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
+    places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in c.COUPLING]
     if window is None or not places or not np.isfinite(half_width[places]).all():
         return None
     p = len(model.linear)
@@ -42,6 +40,6 @@ def read_with_errors(
             decisive=tuple(places),
             window=window,
             command=signals.command if motion.part_of is None else None,
-            torque_count=smallest_step(signals.as_read[:_LOOKED]),
+            torque_count=smallest_step(signals.as_read[: c.LOOKED]),
         )
     )

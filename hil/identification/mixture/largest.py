@@ -24,10 +24,10 @@ from ga.model.trajectory import Motion
 from hil.identification.candidates.fits import own
 from hil.identification.candidates.late import Alternative
 from hil.identification.fitting.jumps import rate_beside_jumps
+from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
-from hil.uncertainty.criteria import COUPLING, TICK_SHARE
 from hil.uncertainty.model_average import AKAIKE, SELDOM
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
     likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
     if usual_skew:
         (skew,) = of_kind(names, "delay")
-        likely[1, names.index(skew)] = TICK_SHARE * float(np.median(np.diff(motion.time)))
+        likely[1, names.index(skew)] = c.TICK_SHARE * float(np.median(np.diff(motion.time)))
     if _PRESLIDING in names:
         likely[:, names.index(_PRESLIDING)] = 1.0
     return likely
@@ -198,7 +198,7 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     variance = matrix.diagonal() - np.einsum("ap,ap->p", matrix[added], gain)
     with np.errstate(invalid="ignore"):  # one that is not distinct has no reach, as beside a factor of zero
         reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
-    return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in COUPLING)
+    return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in c.COUPLING)
 
 
 def own_values(one: Alternative, data: Signals) -> dict[str, float]:

@@ -11,24 +11,14 @@ from ga.model.record import FRICTION
 from ga.model.sticking import is_hidden, looks_like_spring
 from ga.model.terms import TERMS, of_kind, of_role, size_of
 from hil.diagnostics import Diagnostic, again
-from hil.identification.candidates.criterion import WORSE, predicts_better
+from hil.identification.candidates.criterion import predicts_better
 from hil.identification.candidates.fits import LATE, Fits
 from hil.identification.candidates.late import EARLIER
 from hil.identification.verdict.evidence import Evidence
-from hil.uncertainty.criteria import (
-    LITTLE_FRICTION,
-    LONGEST_SKEW,
-    MUCH_FRICTION,
-    PLAY,
-    TICK_SHARE,
-    dampings_behind_filter,
-)
+from hil.signals import constants as c
+from hil.uncertainty.criteria import dampings_behind_filter
 
 Array = NDArray[np.float64]
-
-_OUTERMOST = 0.002  # of the samples, at either end of a range, which may be outliers
-_EARLY, _A_LITTLE_EARLY = 2.0, 0.5  # times what recorders are late or early by, from which an early reading is doubted
-_NEXT_TO_NONE = 0.01  # of the torque: a friction that is found so small is not the one that holds the joint
 
 
 def several_speeds(evidence: Evidence) -> str:
@@ -121,12 +111,12 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     curves = set(of_role("curve")).intersection(evidence.model.name.split("+"))
     # in ticks of the recorder: a slow cell is late, and never early, by its own pace
-    early = -size_of(values, "delay") / (TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
-    if not evidence.selected or _least_friction(evidence) > _NEXT_TO_NONE * _loaded(evidence):
+    early = -size_of(values, "delay") / (c.TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
+    if not evidence.selected or _least_friction(evidence) > c.NO_FRICTION * _loaded(evidence):
         return []
     has_inertia = bool(of_kind(values, "moment of inertia"))
-    accelerates = has_inertia or early > _A_LITTLE_EARLY
-    if (curves or early > _EARLY) and looks_like_spring(motion):
+    accelerates = has_inertia or early > c.LITTLE_EARLY
+    if (curves or early > c.EARLY) and looks_like_spring(motion):
         other = "a spring that curves" if curves else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
     elif is_hidden(motion, inertia=accelerates):
@@ -150,10 +140,10 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
     torque, angle = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta)
     friction = max((abs(values[name]) for name in of_kind(values, *FRICTION)), default=0.0)
     gap, causes, times = size_of(values, "gap width"), [], 1.0
-    if friction > MUCH_FRICTION * torque:
+    if friction > c.MUCH_FRICTION * torque:
         causes.append(f"friction takes {friction:.2g} N m of the {torque:.2g} N m of torque")
-        times = friction / (LITTLE_FRICTION * torque)
-    if 0.5 * gap > PLAY * angle:
+        times = friction / (c.LITTLE_FRICTION * torque)
+    if 0.5 * gap > c.PLAY * angle:
         beyond = max(0.0, angle - 0.5 * gap)
         causes.append(f"the joint has {gap:.2g} rad of play and moves only {beyond:.2g} rad beyond it on each side")
     if not causes:
@@ -182,7 +172,7 @@ def _loaded(evidence: Evidence) -> float:
 
 def _middle_of(values: Array) -> float:
     """Return half the range of values (n,) without the outermost values, which may be outliers."""
-    low, high = np.quantile(values, [_OUTERMOST, 1.0 - _OUTERMOST])
+    low, high = np.quantile(values, [c.OUTERMOST, 1.0 - c.OUTERMOST])
     return float(0.5 * (high - low))
 
 
@@ -195,7 +185,7 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
         return []
     delay, lag = LATE
     ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
-    if ticks <= LONGEST_SKEW:
+    if ticks <= c.LONGEST_SKEW:
         return []
     text = (
         f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
@@ -214,7 +204,7 @@ def _is_distinct(evidence: Evidence) -> bool:
     others = [tuple(cause if TERMS[term].delays else term for term in terms) for cause in EARLIER if cause not in terms]
     own = fits.candidate(terms, {})
     found = [fits.candidate_or_none(one, own.values) for one in others]
-    return all(predicts_better(own, one) > WORSE for one in found if one is not None)
+    return all(predicts_better(own, one) > c.WORSE for one in found if one is not None)
 
 
 def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:

@@ -8,17 +8,15 @@ from numpy.typing import NDArray
 from hil.diagnostics import Diagnostic
 from hil.identification.result import Deflection
 from hil.identification.verdict.evidence import Evidence
+from hil.signals import constants as c
 from hil.signals.constants import RELEVANT
 from hil.signals.prepare import Signals
-from hil.uncertainty.criteria import COUPLING, INTERVAL
 from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.deflection.instruments import is_instrument
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
 Array = NDArray[np.float64]
 
-_FEW = {"instruments": 5.0, "simulation": 10.0, "none": 10.0}  # counts, below which Bc is wrong whatever is done
-_FIRST_ORDER = 0.15  # a simulated change, relative, from which the simulation is too rough
 _IMPORTED = ", or name its column with --command"
 _REMEDY = "use a larger amplitude or a finer encoder"
 
@@ -46,19 +44,19 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
     found = evidence.deflection
     if found is None:
         return []
-    if found.counts < _FEW[found.method] and "Bc" in evidence.names:
+    if found.counts < c.FEW_FOR_BC[found.method] and "Bc" in evidence.names:
         text = f"the deflection spans {found.counts:.0f} counts of the encoder. Bc cannot be identified: {_REMEDY}"
         return [Diagnostic("few-counts", text, "Bc", is_error=True)]
     if found.method == "none":
         return []
     changes = _relative(evidence, found.change)
-    most = INTERVAL if found.method == "instruments" else _FIRST_ORDER
+    most = c.INTERVAL if found.method == "instruments" else c.FIRST_ORDER
     said = [
         Diagnostic("deflection-noise", f"{_cause(found)}. {name} cannot be identified: {_REMEDY}", name, is_error=True)
         for name, change in changes.items()
         if not abs(change) < most
     ]
-    sizes = [abs(changes.get(name, 0.0)) for name in COUPLING]
+    sizes = [abs(changes.get(name, 0.0)) for name in c.COUPLING]
     if not said and any(size > least for size, least in zip(sizes, RELEVANT, strict=True)):
         how = "the command" if found.method == "instruments" else "a simulation of the noise, which is less accurate"
         moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
@@ -95,7 +93,7 @@ def _cause(found: DeflectionErrors) -> str:
 def _relative(evidence: Evidence, change: Array) -> dict[str, float]:
     """Return the part of a change (p + q,) that concerns Kc and Bc, by name, relative to their corrected values."""
     found: dict[str, float] = {}
-    for name in COUPLING:
+    for name in c.COUPLING:
         if name in evidence.names:
             at = evidence.names.index(name)
             value = float(evidence.values[at])

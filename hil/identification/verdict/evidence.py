@@ -18,17 +18,10 @@ from ga.trials.outcome import Trials
 from hil.identification.coupling import Coupling
 from hil.identification.fitting.unloaded import Span
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
+from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.uncertainty.confidence import ConfidenceIntervals
-from hil.uncertainty.criteria import (
-    COUPLING,
-    DIFFERENT,
-    INFLATION,
-    LIKE_FRICTION,
-    distinguishable,
-    friction_likeness,
-    narrow,
-)
+from hil.uncertainty.criteria import distinguishable, friction_likeness, narrow
 from hil.uncertainty.deflection.correction import DeflectionErrors
 from hil.uncertainty.misfit import LackOfFit
 from hil.uncertainty.stationarity import VarianceComponents
@@ -36,7 +29,6 @@ from hil.uncertainty.stationarity import VarianceComponents
 Array = NDArray[np.float64]
 
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
-_MARGIN = 1e-4  # part of a range within which a value is at its end
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +92,8 @@ class Evidence:
         half, value, name = float(self.errors.half_width[at]), float(self.values[at]), self.names[at]
         found = distinguishable(half, float(self.errors.inflation[at])) or self._known_beside_its_term(at)
         if name == "Bc":  # friction that the model leaves out would be in it, whatever the interval
-            found = found and self.friction_likeness < LIKE_FRICTION
-        if name in COUPLING:
+            found = found and self.friction_likeness < c.LIKE_FRICTION
+        if name in c.COUPLING:
             found = found and narrow(half, value) and not self.unmoved
         if self.parameters[at].presence:
             found = found and half < abs(value)
@@ -115,12 +107,12 @@ class Evidence:
         """
         terms = self.model.terms if isinstance(self.model, CouplingModel) else ()
         alike = {one.name for term in terms for one in term.parameters if self.parameters[at] in term.parameters}
-        if self.names[at] in COUPLING or not narrow(float(self.errors.half_width[at]), float(self.values[at])):
+        if self.names[at] in c.COUPLING or not narrow(float(self.errors.half_width[at]), float(self.values[at])):
             return False
         others = self.columns[:, [name not in alike for name in self.names]]
         own = self.columns[:, at]
         left = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
-        return bool(own @ own < INFLATION * (left @ left))
+        return bool(own @ own < c.INFLATION * (left @ left))
 
     @property
     def friction_likeness(self) -> float:
@@ -152,7 +144,7 @@ class Evidence:
         neither.
         """
         value, half = (float(of[at]) for of in self.exact)
-        near = min(_MARGIN * (self.high[at] - self.low[at]), half)
+        near = min(c.AT_END * (self.high[at] - self.low[at]), half)
         if value <= self.low[at] + near:
             return "low"
         return "high" if value >= self.high[at] - near else None
@@ -183,7 +175,7 @@ def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False
     kc, half = values.get("Kc", 0.0), abs(size_of(values, "side stiffness"))
     if before is not None and before[0] > 0.0 and not sliding_only:
         return kc, kc + before[0], "amplitude"
-    if kc + half > DIFFERENT * (kc - half):
+    if kc + half > c.DIFFERENT * (kc - half):
         return kc - half, kc + half, "direction"
     return None
 
@@ -253,7 +245,7 @@ def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Est
     A parameter whose interval becomes too wide is not identifiable, unless another error already states the size of the
     misfit.
     """
-    sizes = dict(zip(COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
+    sizes = dict(zip(c.COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
     lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
     is_said = fit is not None and fit.misfit and fit.is_grave
     said = (fit.affected or one.name for one in found) if fit is not None and is_said else ("" for _ in found)

@@ -13,17 +13,8 @@ from hil.diagnostics import Diagnostic, again
 from hil.identification.fitting.unloaded import DEFLECTION, UNLOADED_PLACE
 from hil.identification.verdict.confounding import confounded, several_speeds
 from hil.identification.verdict.evidence import Evidence, sliding, span_of_stiffness
-from hil.uncertainty.criteria import (
-    BETWEEN,
-    COUPLING,
-    LIKE_FRICTION,
-    ONE_SPEED,
-    OPTIMISER_GAP,
-    UNCERTAIN,
-    UNEXPLAINED,
-    distinguishable,
-    narrow,
-)
+from hil.signals import constants as c
+from hil.uncertainty.criteria import distinguishable, narrow
 from hil.uncertainty.stationarity import VarianceComponents
 from hil.units import with_unit
 
@@ -41,7 +32,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         if not any(one.is_error and one.parameter == name for one in stiffnesses):  # that says why
             found += _of_parameter(evidence, at, name)
     found += confounded(evidence) + stiffnesses
-    if evidence.holdout.nrmse > UNEXPLAINED:
+    if evidence.holdout.nrmse > c.UNEXPLAINED:
         found.append(
             Diagnostic(
                 "implausible",
@@ -53,7 +44,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         )
     # the exact optimum knows no bounds but zero: at one, the gap is the bound's and not the search's
     at_bounds = any(evidence.at_bound(at) for at in range(len(evidence.names)))
-    if evidence.gap > OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
+    if evidence.gap > c.OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
         found.append(
             Diagnostic(
                 "not-converged",
@@ -73,8 +64,8 @@ def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Dia
     return [
         Diagnostic("wide-interval", _wide(evidence, at), name)
         for at, name in enumerate(evidence.names)
-        if name in COUPLING
-        and half[at] > UNCERTAIN * abs(values[at])
+        if name in c.COUPLING
+        and half[at] > c.UNCERTAIN * abs(values[at])
         and not any(one.parameter == name for one in doubts)
         and _differs(evidence, at) is None
     ]
@@ -164,7 +155,7 @@ def _interruption(trials: Trials) -> list[Diagnostic]:
 
 
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
-    found, is_error = [], name in COUPLING
+    found, is_error = [], name in c.COUPLING
     end, negative = evidence.at_bound(at), evidence.contradicted(at)
     if end is not None and not (end == "low" and evidence.is_zero(at)):  # which is physics' bound, not the search's
         text = f"{name} is at the {end} end of its bounds, and its true value may lie beyond. Widen the bounds: "
@@ -178,7 +169,7 @@ def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
             f"{'' if evidence.selected or name == 'Kc' else ', or try --model auto'}"
         )
         found.append(Diagnostic("implausible", text, name if is_error else "Bc", is_error=True))
-    elif name == "Bc" and evidence.friction_likeness > ONE_SPEED:
+    elif name == "Bc" and evidence.friction_likeness > c.ONE_SPEED:
         text = (
             "the joint moved at one speed, where dry friction looks like damping. The model has no term for friction, "
             f"so Bc includes most of any friction. {several_speeds(evidence)}"
@@ -196,11 +187,11 @@ _IMPLAUSIBLE = {
 
 def _why_not(evidence: Evidence, at: int) -> str:
     name = evidence.names[at]
-    if name in COUPLING and evidence.unmoved:
+    if name in c.COUPLING and evidence.unmoved:
         return f"{name} is not identifiable: {evidence.unmoved}"
     if not evidence.columns[:, at].any():
         return f"{name} is not identifiable: nothing in this recording excites it"
-    if name == "Bc" and evidence.friction_likeness >= LIKE_FRICTION:
+    if name == "Bc" and evidence.friction_likeness >= c.LIKE_FRICTION:
         return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {several_speeds(evidence)}"
     if distinguishable(float(evidence.errors.half_width[at]), float(evidence.errors.inflation[at])):
         if evidence.parameters[at].presence:
@@ -227,7 +218,7 @@ def _alike(evidence: Evidence, at: int) -> str:
     alike[at] = 0.0
     other = evidence.names[int(np.argmax(alike))]
     pair = " from ".join(f"{one} ({PARAMETERS[one].meaning})" if one in PARAMETERS else one for one in (name, other))
-    extra = [one for one in (name, other) if one not in COUPLING]
+    extra = [one for one in (name, other) if one not in c.COUPLING]
     wider = again(
         "Drive at several speeds over a wider band",
         "--profile chirp or multisine, --band",
@@ -266,7 +257,7 @@ def _differs(evidence: Evidence, at: int) -> VarianceComponents | None:
     None.
     """
     scatter = evidence.scattered[at]
-    return scatter if scatter is not None and scatter.between > BETWEEN * scatter.within else None
+    return scatter if scatter is not None and scatter.between > c.BETWEEN * scatter.within else None
 
 
 def _by_the_choice(evidence: Evidence, at: int) -> str:

@@ -13,13 +13,10 @@ from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.described import Described, tested_motion
 from hil.identification.result import Estimate
+from hil.signals import constants as c
 from hil.signals.torque_reading import long_delay
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 from hil.uncertainty.misfit import LackOfFit
-
-_RESPECTS = 3  # that a message names
-_TESTED = 0.1  # of the motion: with less in the samples that are tested, too much looks like friction or inertia
-_CHANGES = 0.03  # of K' over the band, from which it is said
 
 
 def misfit_diagnostics(
@@ -91,7 +88,7 @@ def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     """
     sticks = isinstance(described.model, CouplingModel) and described.model.sticks
     moving = tested_motion(described)
-    if moving > _TESTED or not (sticks or of_kind(described.names, "moment of inertia")):
+    if moving > c.TESTED_MOTION or not (sticks or of_kind(described.names, "moment of inertia")):
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=described.signals.imported)
     curves = bool(set(of_role("curve")).intersection(model.split("+")))
@@ -109,7 +106,7 @@ def _respects(model: str, found: LackOfFit) -> str:
     differing = [f"{one.name} (Kc by {_size(found, 0, one.Kc)}, Bc by {_size(found, 1, one.Bc)})" for one in compared]
     plain = [one.name for one in found.failed if one.Kc is None and one.code != "any"]
     respects = ([f"Kc and Bc differ {' and '.join(differing)}"] if differing else []) + plain
-    said = "".join(f"{one}; " for one in respects[:_RESPECTS])
+    said = "".join(f"{one}; " for one in respects[: c.RESPECTS])
     share = f"the motion predicts {100.0 * found.share:.0f} % of the residuals"
     parts = [f"{said}{share}"] if found.failed or found.explains_too_little else []
     return f"model {model} does not describe this recording: {', and '.join([*parts, *_at_jumps(found)])}"
@@ -182,7 +179,7 @@ def _frequencies(dynamic: DynamicStiffness | None) -> str:
     bands = dynamic.bands
     low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
     error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
-    if len(bands.frequency) < 2 or abs(high - low) < max(error, _CHANGES * abs(low)):
+    if len(bands.frequency) < 2 or abs(high - low) < max(error, c.CHANGING * abs(low)):
         return ""
     first, last = float(bands.frequency[0]), float(bands.frequency[-1])
     return f"Without a model, Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} N m/rad at {last:.3g} Hz"

@@ -8,9 +8,9 @@ from itertools import pairwise
 
 from ga.model.terms import RARER, TERMS
 from hil.diagnostics import Diagnostic
-from hil.identification.candidates.criterion import STRONG
 from hil.identification.result import Estimate, Step, interval
-from hil.uncertainty.criteria import EVIDENCE_AGAINST, narrow
+from hil.signals import constants as c
+from hil.uncertainty.criteria import narrow
 from hil.uncertainty.misfit import LackOfFit
 from hil.units import with_unit
 
@@ -49,7 +49,7 @@ def with_rivals(steps: tuple[Step, ...], found: tuple[Estimate, ...]) -> tuple[t
     its interval, in two cases: the interval that includes all these values is wider than allowed, or the evidence is
     strong for a common term that could not be included.
     """
-    undecided = [step for step in steps if not step.included and step.gain > EVIDENCE_AGAINST]
+    undecided = [step for step in steps if not step.included and step.gain > c.EVIDENCE_AGAINST]
     pairs = [_with_rivals(undecided, estimate) for estimate in found[:2]]
     return (*(one for one, _ in pairs), *found[2:]), [one for _, doubts in pairs for one in doubts]
 
@@ -61,7 +61,7 @@ def _with_rivals(undecided: list[Step], estimate: Estimate) -> tuple[Estimate, l
     possible = [low, high, *(value for value in outside.values() if value > 0.0)]
     is_wide = not narrow(0.5 * (max(possible) - min(possible)), estimate.value)
     held = {term: value for term, value in outside.items() if term in RARER and value > 0.0 and not is_wide}
-    strong = {step.term for step in undecided if step.gain > STRONG}
+    strong = {step.term for step in undecided if step.gain > c.STRONG}
     doubts = [
         Diagnostic(
             "model-dependent",

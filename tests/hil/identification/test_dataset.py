@@ -13,14 +13,13 @@ from ga.evolution.evolution import PRESETS
 from ga.lad import out_of_core
 from ga.model.coupling import parse as parse_model
 from hil.identification.candidates.choice import Choice
-from hil.identification.fitting import dataset
 from hil.identification.fitting.dataset import open_dataset
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
 from hil.identification.result import Identification
 from hil.recording.ahead import Progress
 from hil.recording.reader import Array, Recording
-from hil.signals import source
+from hil.signals import constants, source
 from hil.signals.prepare import LongRecording, Signals
 from hil.signals.source import open_sources
 
@@ -45,7 +44,7 @@ def recordings(make_recording: Maker) -> list[Path]:
 
 def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     whole = identified(recordings)
-    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(constants, "IN_MEMORY", 1000)
     monkeypatch.setattr(out_of_core, "_SUBSAMPLE", 1200)
     before = sorted(recordings[0].parent.iterdir())
     parts = identified(recordings)
@@ -75,7 +74,7 @@ def test_blocks_on_disk_in_which_no_row_can_be_used_are_passed_over_and_counted(
 
     path = make_recording(samples=4000, noise=2e-4, change=unplugged)
     whole = identified([path])
-    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(constants, "IN_MEMORY", 1000)
     monkeypatch.setattr(LongRecording, "stream", partialmethod(LongRecording.stream, block=500))
     monkeypatch.setattr(LongRecording, "glimpse", partialmethod(LongRecording.glimpse, parts=6, rows=500))
     parts = identified([path])
@@ -88,7 +87,7 @@ def test_blocks_on_disk_in_which_no_row_can_be_used_are_passed_over_and_counted(
 def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
     recordings: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dataset, "IN_MEMORY", 1000)
+    monkeypatch.setattr(constants, "IN_MEMORY", 1000)
     seen = []
 
     def choose(signals: Signals, whole: bool) -> Choice:
