@@ -38,7 +38,6 @@ from hil.identification.verdict.evidence import Evidence, estimates, span_met, w
 from hil.identification.verdict.identifiability import judge, wide_intervals
 from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics
 from hil.identification.verdict.outweighed_spring import outweighed_spring
-from hil.identification.verdict.rivals import beside_doubtful_terms, with_rivals
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.signals.prepare import Signals
@@ -68,7 +67,7 @@ def identify(
 def identify_sources(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
 ) -> Identification:
-    """Do the same as `identify` with open recordings, on one core: several cores would change the last digit."""
+    """Fit a model to open recordings on one core: with several cores the last digit would differ."""
     with ThreadpoolController().limit(limits=1, user_api="blas"):
         return _identified(sources, model, search, progress)
 
@@ -91,17 +90,15 @@ def _identified(
         steps = _with_result(data.choice.steps, found, solution)
         scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
         described = _described(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
-        fit, dynamic = beside_doubtful_terms(tested(described), steps, found), without_model(described)
+        fit, dynamic = tested(described), without_model(described)
         found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
-            found, undecided = with_rivals(steps, found)
             doubts = [
                 *_stationarity(data, solution),
                 *differing,
                 *other_zeros(*scattered, solution.optimum.fitness),
                 *judge(evidence),
-                *undecided,
                 *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),
                 *misfit_diagnostics(described, data.choice.model.name, fit, dynamic, selected=evidence.selected),
                 *lost_by_misfit(modelled, found),

@@ -188,8 +188,8 @@ ZERO_SHARE = 0.5  # of the fit's mean error, from which another zero of the torq
 QUARTERS = 4  # parts of a recording, each of which gives an estimate of Kc
 PRECISE = 0.2  # half the interval of such an estimate over its value, above which it is not compared
 SERIES_ROUNDS = 50  # Newton steps of the correction for a fixture
-SERIES_CONVERGED = 1e-12  # relative change at which that correction has converged
 FAR_TAIL = -20.0  # standard deviations, below which a normal distribution's positive part is its tail alone
+SERIES_CONVERGED = 1e-12  # relative change at which that correction has converged
 
 # Errors of the deflection
 NO_ERROR = 2e-5  # of the power of deflection and rate, below which their errors change nothing
@@ -307,10 +307,10 @@ NO_RATE = 1e-9  # of the fastest rate, below which nothing moves
 
 # Held set-points and steps
 TWELFTH = 1.0 / 12.0  # variance of a uniform distribution of width one
-DRIVES = tuple(np.geomspace(4.0, 64.0, 9).tolist())  # Hz, natural frequencies of drives, each equally likely
+USUAL_DRIVE = 32.0  # Hz, natural frequency of a drive that holds its set-points
 DRIVE_DAMPING = 0.75  # damping ratio of a drive
-DENSE_READINGS = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
 TAKEN_OFF = 0.1  # of the rate, that a drive which the readings still follow takes off, at most
+DENSE_READINGS = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
 EIGHTH = 1.0 / 8.0  # of a jump of the acceleration times the period: the error of the rate, on average
 OFTEN = 0.5  # part of the samples with a new set-point, from which the command does not step
 SLOWEST_STEP = 64  # samples, after which the acceleration that follows a step is at its largest
@@ -366,9 +366,19 @@ UNEXPLAINED = 0.9  # of the torque's spread, that a model which explains nothing
 EVIDENCE_AGAINST = -6.0  # gain below which the evidence against a term is strong (Kass and Raftery 1995)
 TICK_SHARE = 0.1  # ticks, standard deviation of the difference in age of one recorder's torque and angle
 LONGEST_SKEW = 1.5  # ticks, above which one recorder is unlikely to be the cause of a skew
-CELLS = (15.0, 480.0)  # Hz, bandwidths of torque cells: a slower one shows, a faster one delays by a part of a tick
 BETWEEN = 3.0  # standard deviation between recordings over that within, from which they really differ
 DIFFERENT = 3.0  # ratio of two values of Kc in one recording that no single Kc describes
 MUCH_FRICTION = 0.5  # friction over torque, from which Kc depends on how friction is modelled
 LITTLE_FRICTION = 0.2  # the same, up to which Kc repeats: in real ramps with 0.2 to 0.3 within 4 % (median)
 PLAY = 0.75  # play over the range of the deflection, from which too little of the motion loads the spring
+LATE_READING = 4e-3  # s, age of a torque that is late: r.m.s. of the lags of cells of 15 to 480 Hz, by octaves
+ONE_IN_TEN = 2.0 * math.log(10.0)  # twice the log odds against what one bench in ten has
+RELAXING = (1.0 / 33.0) ** 0.5  # of the apparent delay, that a branch causes in one joint of ten: any part, r.m.s.
+FURTHER = 3.0**-0.5  # the same where two branches were found: what relaxes does so at more speeds
+PLACES = 2**44  # steps of a range, to one of which a quantile is found
+FALLS_OVER = (0.25, 0.35, 0.5, 0.7, 1.0)  # of the rate of which damping is felt: friction that falls over less is none
+RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard deviation
+SMALL_RISE = 0.1  # of the same: what is in proportion to it
+GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is felt: a standard deviation
+STIFFEST = 2.0  # times Kc, what relaxes faster than the joint moves: a standard deviation
+RELAXES = 12  # relaxation times of such a branch, half an octave apart

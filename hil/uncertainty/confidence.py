@@ -61,7 +61,7 @@ class Covariance:
 
     matrix (p, p): the covariance, SI; zero for parameters that cannot be distinguished from others. quantile (p,): half
     a 95 % interval in standard errors. distinct (p,): which parameters can be distinguished from others. inflation
-    (p,): see `ConfidenceIntervals`.
+    (p,): the variance inflation of each parameter.
     """
 
     matrix: Array

@@ -192,7 +192,7 @@ def _columns(*columns: Array) -> Array:
 
 
 def _smooth(recorded: Recorded, values: Array) -> Array:
-    """Return values (n,) without the noise of their readings; that noise is an effect of its own."""
+    """Return values (n,) without the noise of their readings, which is listed as a separate effect."""
     return recorded.smoothed(values, SMOOTH / recorded.step)
 
 
@@ -203,7 +203,9 @@ def _from_middles(recorded: Recorded) -> list[Array]:
 
 
 def _grid(recorded: Recorded, parameter: Parameter) -> tuple[float, ...]:
-    """Return the values of a nonlinear parameter at which its effect is looked for; a place is the middle itself."""
+    """Return the values of a nonlinear parameter for which the signature of its effect is computed; for a deflection,
+    the middle of the range.
+    """
     reach, shortest = recorded.reach(), 2.0 * recorded.step
     if parameter.kind == "relaxation time":
         return tuple(constant for constant in TIMES if constant > shortest)

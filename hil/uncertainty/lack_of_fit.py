@@ -138,9 +138,11 @@ class _Tests:
         return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
-        """Compare Kc and Bc of one part of the recording with those of the rest; None if they cannot be compared.
+        """Compare Kc and Bc of one part of the recording with Kc and Bc of the remaining part; None if they cannot
+        be compared.
 
-        weights: the part as weights (n,) of the samples, or as a frequency, Hz: then the part is the band below it.
+        code: of the test. weights: the part as weights (n,) of the samples, or as a frequency, Hz: then the part is the
+        band below it.
         """
         own = self._coupling
         if isinstance(weights, float):

@@ -118,15 +118,17 @@ class LackOfFit:
         return left < min(c.PREDICTED / self.share, c.OF_NOISE) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
-        """Return whether errors of the motion explain almost nothing of the prediction. added: the power, (N m)^2, that
-        they add when doubled.
+        """Return whether errors of the motion explain almost none of the torque that the test predicts.
+
+        added: the power, (N m)^2, that the prediction gains when these errors are doubled.
         """
         return self.share > 0.0 and added < c.NOT_OF_NOISE * self.predicted**2
 
     @property
     def affected(self) -> str | None:
-        """Return the parameter, Kc or Bc, that the misfit takes out of its interval by a relevant amount, or else
-        changes by one; None if both change, or neither.
+        """Return Kc or Bc: the parameter that the misfit moves out of its interval by a relevant amount.
+
+        If it moves none out, the parameter that it changes by a relevant amount. None if both change, or neither.
         """
         worst = self._refused or self._grave
         return worst[0] if len(worst) == 1 and not self.is_of_another_joint else None

@@ -49,7 +49,7 @@ def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
 
 
 def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
-    """Return the regressors (n, k) of each respect; model: the torque (n,), N m, of the model."""
+    """Return the regressors (n, k) of each lack-of-fit test, by its code. model (n,): torque of the model, N m."""
     angle, rate = recorded.centred(), recorded.rate
     x, v = angle / np.abs(angle).max(), rate / max(float(np.abs(rate).max()), 1e-300)
     return {

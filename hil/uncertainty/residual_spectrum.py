@@ -67,7 +67,7 @@ class ResidualSpectrum:
 
     @property
     def by_bands(self) -> Array:
-        """Return the same covariance as `covariance`, but with equal weights for all lines of the lowest band."""
+        """Return the covariance (p, p) of the sum of x sign(e), with equal weights for all lines of the lowest band."""
         return np.asarray(np.einsum("b,bpq->pq", self._counted, self.crossed))
 
     @property

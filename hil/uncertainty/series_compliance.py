@@ -96,8 +96,8 @@ def series(first: Array, second: Array, excitation: Excitation) -> Array:
 
 
 def _closed_form(target: Array, held: Array) -> Array:
-    """Return K and B of the coupling in the limit of slow motion. target: K and B measured; held: K and B of the
-    fixture.
+    """Return K and B of the coupling in the limit of slow motion. target: measured K and B. held: K and B of
+    the fixture.
     """
     stiffness = 1.0 / (1.0 / target[0] - 1.0 / held[0])
     damping = stiffness**2 * (target[1] / target[0] ** 2 - held[1] / held[0] ** 2)

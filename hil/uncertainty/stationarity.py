@@ -102,8 +102,8 @@ def other_zeros(
 ) -> list[Diagnostic]:
     """Return a warning that names the recording whose torque at rest differs most from that of the others.
 
-    names, components, paths: as for `disagreement`. error: mean |error| of the fit, N m; a difference of half of it is
-    relevant.
+    names (p,), components (p,), paths (m,): parameters, their variance components, the recordings. error: mean |error|
+    of the fit, N m; a difference of half of it is relevant.
     """
     (name,) = of_kind(names, "torque at rest") or ("",)
     one = dict(zip(names, components, strict=True)).get(name)
@@ -147,9 +147,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
 
 
 def _differ(one: VarianceComponents) -> bool:
-    """Return whether the values of the recordings are further apart than chance explains. one: the variance
-    components.
-    """
+    """Return whether the values of the recordings differ by more than chance explains. one: the variance components."""
     return one.p_alike <= FALSE_ALARMS and one.between > c.BETWEEN * one.within
 
 

@@ -119,7 +119,9 @@ class BandFits:
         return BandFit(terms, model, best.genes, best.nonlinear, score, columns, best.whitened[-1], best.residuals)
 
     def _started(self, model: CouplingModel, values: Mapping[str, float], bounds: tuple[Array, Array]) -> _Solved:
-        """Return the best of a few starts: given values or absent ones, and for what is not given those of the grid."""
+        """Return the best fit of a few starts. A parameter without a given value starts at its absent value, or at the
+        values of the grid.
+        """
         low, high = bounds
         start = np.array([values.get(one.name, low[at]) for at, one in enumerate(model.nonlinear)])
         best = self._solved(model, np.clip(start, low, high), 0.0)

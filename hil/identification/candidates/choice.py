@@ -16,7 +16,6 @@ from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
 from hil.identification.candidates import selection
 from hil.identification.candidates.described import Described, tested
 from hil.identification.candidates.fits import LATE
-from hil.identification.candidates.late import EARLIER, Alternative, Lateness
 from hil.identification.candidates.selection import Selection
 from hil.identification.coupling import Coupling
 from hil.identification.result import Step
@@ -36,7 +35,7 @@ _USUAL_FRICTION = "+".join(
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The model, anchored to the data, with the steps of its selection (none if it was named) and the alternatives.
+    """The model, anchored to the data, with the steps of its selection (none if it was named).
 
     sticking: whether friction holds the joint in slow samples; the model does not describe these samples. delay: the
     age of the torque reading less that of the angle, s; the delay decides which samples are slow.
@@ -46,8 +45,6 @@ class Choice:
     steps: tuple[Step, ...] = ()
     sticking: bool = False
     delay: float = 0.0
-    alternatives: tuple[Alternative, ...] = ()
-    lateness: tuple[Lateness, ...] = ()
 
     def moving(self, motion: Motion) -> NDArray[np.bool_]:
         """Return in which samples (n,) friction does not hold the joint."""
@@ -110,37 +107,29 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
         terms = tuple(term for term in terms if not TERMS[term].repeats)
     if signals.torque_from == "motor":
         terms = tuple(term for term in terms if term not in LATE or TERMS[term].delays)
-    late = EARLIER if signals.torque_from == "given" else LATE
-    accounts = tuple(term for term in late if term in terms)
     recorded, signals = signals, _glimpses(signals)
     seen, friction = signals.rate_known, _named(parse(_USUAL_FRICTION), signals)
     moving = friction.described(signals)
-    found = _plainest(signals, moving, terms, accounts)
+    found = _plainest(signals, moving, terms)
     sticking = friction.sticking and found.model.sticks
     if friction.sticking:
         # a model with smooth friction, or without friction, may describe the slow samples too
-        whole = _plainest(signals, seen, terms, accounts)
+        whole = _plainest(signals, seen, terms)
         if not sticking or _describes_slow(whole, friction, signals, seen):
             found, sticking = whole, False
     model = found.model.anchored(recorded.motion)
-    return Choice(model, found.steps, sticking, found.delay, found.alternatives, found.lateness)
+    return Choice(model, found.steps, sticking, found.delay)
 
 
-def _plainest(
-    signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...], accounts: tuple[str, ...]
-) -> Selection:
-    """Return the model of common terms if it describes the samples in `seen` (n,); else the one of all terms.
+def _plainest(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) -> Selection:
+    """Return the model of common terms if it describes the samples in `seen` (n,); otherwise the model of all terms.
 
     Rare terms fit a part of what every sensor and every rate gets wrong, and take their share of Kc and Bc.
     """
     of_motor = {"motor torque"} if signals.torque_from == "motor" else set()
     common = tuple(term for term in terms if TERMS[term].selection in {"considered", *of_motor})
-    found = selection.select(signals, seen, common, accounts)
-    return (
-        found
-        if common == terms or _describes(found, signals, seen)
-        else selection.select(signals, seen, terms, accounts)
-    )
+    found = selection.select(signals, seen, common)
+    return found if common == terms or _describes(found, signals, seen) else selection.select(signals, seen, terms)
 
 
 def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_]) -> bool:
@@ -184,7 +173,7 @@ def _glimpses(signals: Signals) -> Signals:
 
 
 def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: NDArray[np.bool_]) -> bool:
-    """Return whether a model fits the samples in which friction seems to hold the joint as well as the others."""
+    """Return whether a model fits the slow samples, in which friction seems to hold the joint, as well as others."""
     motion = signals.motion if seen.all() else signals.motion.of(seen)
     slow = ~friction.moving(signals.motion)[seen]
     values = whole.chosen.values

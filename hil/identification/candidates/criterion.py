@@ -105,15 +105,6 @@ class Criterion:
         # in slow ramps the slowest lines hold most of what a gap does: by their power a real one would not be found
         return float(spectrum.by_bands[0, 0]) / power
 
-    def blurred(self, fitted: Candidate, term: str) -> float:
-        """Return the factor by which a likelihood ratio is less certain, because of correlated residuals and errors of
-        the rate.
-
-        An error of the rate lasts as long as the recording, so more samples do not reduce it: if the likelihoods of two
-        models differ by less than this error explains, the models cannot be ranked.
-        """
-        return self.correlation(fitted, term) + by_rate(len(self.signs), self.density, self.size)
-
     def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
         """Return by how much the criterion improves with `more` additional parameters, after their cost is subtracted.
 
@@ -138,14 +129,15 @@ class Criterion:
 def by_rate(count: int, density: float, size: float) -> float:
     """Return the factor, beyond one, by which errors of the rate make the likelihood of `count` samples less certain.
 
-    density, size: see `Criterion`.
+    density: that of the residuals at zero, 1/(N m). size: mean |torque|, N m.
     """
     return count * (2.0 * density * c.EXPLAINED * size) ** 2
 
 
 def density_at_zero(residuals: Array, least: float) -> float:
-    """Return the probability density of residuals (n,), N m, at zero, 1/(N m). least: the step, N m, to which they are
-    rounded.
+    """Return the probability density at zero, 1/(N m), of residuals (n,), N m.
+
+    least: the step, N m, to which the residuals are rounded.
     """
     near = float(np.quantile(np.abs(residuals), min(0.5, 3.0 * len(residuals) ** (-1.0 / 3.0))))
     near = max(near, least)
@@ -154,7 +146,10 @@ def density_at_zero(residuals: Array, least: float) -> float:
 
 
 def criterion_of(fits: Fits, chosen: Candidate, choices: int) -> Criterion:
-    """Return the criterion whose noise is the residuals of the chosen model."""
+    """Return the criterion that treats the residuals of the model `chosen` as noise.
+
+    choices: the number of terms to choose from.
+    """
     columns, residuals = chosen.columns, chosen.problem.residuals(chosen.fit)
     signs = np.sign(residuals)
     return Criterion(

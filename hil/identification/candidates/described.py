@@ -177,8 +177,8 @@ def _of_errors(described: Described, followed: Array) -> Array:
 
 
 def _added(described: Described, before: Array, noisy: Motion) -> float:
-    """Return the power, (N m)^2, that additional measurement errors add to the part of the residuals that is
-    predictable.
+    """Return by how much additional measurement errors raise the power, (N m)^2, of the predictable part of the
+    residuals.
 
     before (n, p): the columns without the additional errors. noisy: the motion (n,) with them. The errors are added to
     the regressors too, and some regressors consist of little else; both powers are computed with equal regressors.

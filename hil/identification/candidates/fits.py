@@ -114,7 +114,7 @@ class Candidate:
         return at_zero or bool(early) or self.is_stop(term) or self.is_in_errors(term)
 
     def is_in_errors(self, term: str) -> bool:
-        """Return whether the motion reaches beyond a gap by no more than the errors of the outermost readings.
+        """Return whether the motion exceeds a gap only by as much as the errors of the outermost readings.
 
         If the joint rests there, a gap fits the errors of the readings at rest; that is no evidence of a gap.
         """
@@ -178,7 +178,7 @@ class Fits:
         return self._fitted[terms]
 
     def candidate_or_none(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate | None:
-        """Return the same as `candidate`; None if the columns are nearly collinear."""
+        """Return the model of these terms, fitted to all samples; None if the columns are nearly collinear."""
         try:
             return self.candidate(terms, values)
         except RuntimeError:
@@ -190,18 +190,6 @@ class Fits:
             return found
         self._fitted[found.terms] = replace(found, fit=compass_search(found.problem, found.fit))
         return self._fitted[found.terms]
-
-    def with_value(self, terms: tuple[str, ...], smaller: Candidate, value: float) -> Candidate:
-        """Return the fit of these terms with the nonlinear parameter of the last term fixed at `value`, SI; no blocks
-        are held out.
-
-        smaller: the fit without that term, whose nonlinear parameters are kept. Raises RuntimeError as `Problem.solve`.
-        """
-        problem = self._problem(terms)
-        own_name = next(one.name for one in TERMS[terms[-1]].parameters if one.nonlinear)
-        nonlinear = _named(smaller.model, smaller.fit) | {own_name: value}
-        found = problem.solve(np.array([nonlinear[one.name] for one in problem.model.nonlinear]))
-        return Candidate(terms, _model(terms), problem, found, self.errors[0])
 
     def _problem(self, terms: tuple[str, ...]) -> Problem:
         unordered = frozenset(terms)

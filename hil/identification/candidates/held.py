@@ -32,17 +32,16 @@ def of_jerk(motion: Motion) -> Array:
     return c.TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
 
 
-def taken_off(motion: Motion, frequency: float) -> Array | None:
-    """Return the difference (n,), rad/s, between the computed rate and the true rate behind a drive of this natural
-    frequency, Hz.
+def taken_off(motion: Motion) -> Array:
+    """Return the difference (n,), rad/s, between the computed rate and the true rate behind a drive of the usual
+    natural frequency, or of the highest that the readings follow.
 
-    See `of_jerk`. None if the difference is so large that the readings would not follow the drive.
+    The difference is that of `of_jerk`.
     """
-    speed = 2.0 * np.pi * frequency * _step(motion)  # w h
-    if c.TWELFTH * speed**2 > c.TAKEN_OFF:
-        return None
+    speed = min(2.0 * np.pi * c.USUAL_DRIVE * _step(motion), (c.TAKEN_OFF / c.TWELFTH) ** 0.5)  # w h
     of_acceleration = 2.0 * c.TWELFTH * c.DRIVE_DAMPING * speed * _step(motion)
-    return c.TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+    found = c.TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+    return np.asarray(found)
 
 
 def most_taken_off(signals: Signals) -> float:
@@ -50,8 +49,8 @@ def most_taken_off(signals: Signals) -> float:
 
     The mean of the set-points before and after a reading is a multiple of x + 2 z/w v + a/w^2, with w and z of drive
     and coupling together; with many readings in a period nothing is taken off. The rate is wrong by up to h^2/12 w^2
-    (`of_jerk`). x, v and a are those that follow from the command, because they have no noise. 0 also without a
-    command, and for a joint that is not behind its command: then nothing is known of the drive.
+    (`of_jerk`). x, v and a are those that follow from the command, because they have no noise. The result is
+    0 without a command, and if the joint does not lag behind its command: then nothing is known of the drive.
     """
     motion, window, command = signals.motion, signals.window, signals.command
     if window is None or not is_instrument(command) or motion.part_of is not None:

@@ -91,11 +91,11 @@ def _fitted(search: Search, fits: BandFits, candidate: Candidate, near: BandFit 
 
 
 def _fit_exchanged(fits: BandFits, fit: BandFit, terms: tuple[str, ...]) -> None:
-    """Fit the models in which one term is exchanged for another account of the same.
+    """Fit the models in which one term is replaced by another description of the same effect.
 
     Two laws of one effect exclude each other. A branch without a parallel damper has the same response as a lag, and an
-    inertia looks like torque that is read early. Beside one of these, the catalogue does not show how well the others
-    would do instead.
+    inertia looks like torque that is read early. If the model has one of these terms, the catalogue does not show how
+    well each of the others would fit in its place.
     """
     for one in fit.terms:
         others = (*_SMALLEST, *(term for term in fit.terms if term != one))

@@ -28,7 +28,7 @@ Candidate = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The score of fits to `count` rows. spread: the number of rows that are worth one independent sample."""
+    """The score of fits to `count` rows. spread: the number of rows that count as one independent sample."""
 
     count: int
     spread: float = 1.0

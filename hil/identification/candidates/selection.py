@@ -14,7 +14,6 @@ from ga.model.coupling import CouplingModel
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
 from hil.identification.candidates.criterion import Criterion, criterion_of
 from hil.identification.candidates.fits import Candidate, Fits, own
-from hil.identification.candidates.late import Alternative, Lateness, LateReading
 from hil.identification.candidates.proposal import Proposal, proposed
 from hil.identification.result import Step
 from hil.signals import constants as c
@@ -29,7 +28,6 @@ class Selection:
 
     chosen: Candidate
     beside: Beside
-    late: LateReading
 
     @cached_property
     def model(self) -> CouplingModel:
@@ -53,24 +51,12 @@ class Selection:
         """Return a step for each term of the model, then a step for each rejected term, added to the model."""
         return self.beside.steps(self.chosen)
 
-    @cached_property
-    def alternatives(self) -> tuple[Alternative, ...]:
-        """Return the models with another cause of the delayed torque reading."""
-        return self.late.alternatives(self.chosen)
 
-    @cached_property
-    def lateness(self) -> tuple[Lateness, ...]:
-        """Return Kc and Bc for each likely delay of the torque reading; see `LateReading.lateness`."""
-        return self.late.lateness(self.chosen)
-
-
-def select(
-    signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...], accounts: tuple[str, ...] = ()
-) -> Selection:
+def select(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) -> Selection:
     """Return the model selected from the samples in `seen` (n,).
 
-    terms: those considered besides the smallest model's. accounts: the terms that may make the torque reading late or
-    early. Raises RuntimeError if not even the smallest model can be fitted.
+    terms: those considered besides the smallest model's. Raises RuntimeError if not even the smallest model can be
+    fitted.
     """
     motion = signals.motion if seen.all() else signals.motion.of(seen)
     fits = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
@@ -86,7 +72,7 @@ def select(
             break
         chosen = better
     chosen = fits.deeper(chosen)
-    return Selection(chosen, beside, LateReading(fits, beside.criterion, accounts))
+    return Selection(chosen, beside)
 
 
 def _first_possible(fits: Fits, models: Sequence[Proposal]) -> Candidate:
@@ -101,7 +87,7 @@ def _first_possible(fits: Fits, models: Sequence[Proposal]) -> Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """The models with one term more or one term less than a chosen one.
+    """The models that have one term more, or one term less, than a chosen model.
 
     considered: the terms that may be added. values: for each term that the search found, nonlinear parameters, SI, by
     name.
@@ -113,8 +99,10 @@ class Beside:
     values: Mapping[str, Mapping[str, float]]
 
     def better(self, chosen: Candidate) -> Candidate:
-        """Return the model without the term of least gain, if there is one that does not pay; else the model with the
-        term of largest gain, if there is one that pays; else the chosen model.
+        """Return the model without its term of least gain, if that gain is too small.
+
+        Otherwise return the model with the new term of largest gain, if that gain is large enough; otherwise the chosen
+        model.
         """
         idle = [one for one in self._smaller(chosen) if not self.criterion.pays(one[1], chosen, one[0], _least(one[0]))]
         if idle:

@@ -21,7 +21,8 @@ def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, 
     """Return the bounds of the linear parameters: the given ranges, else the paper's if `papers` is true, else those
     from the data.
 
-    No bound is below zero for a parameter that cannot be negative for physical reasons. Raises WrongUse as `narrowed`.
+    No bound is below zero for a parameter that cannot be negative for physical reasons. Raises WrongUse for an
+    unknown parameter, an empty range, or a negative range of a parameter that cannot be negative.
     """
     found = bounds_from_data(columns, torque, positive=positive_among(model.linear))
     low, high = found.low.copy(), found.high.copy()

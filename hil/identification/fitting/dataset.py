@@ -32,10 +32,10 @@ class Dataset:
 
     choice: the model, anchored to the recordings, and why it was chosen. signals: all signals, or pieces of them if
     they do not fit in memory. whole: whether `signals` are all signals. used (n,): which samples of `signals` are
-    fitted. blocks: columns of the linear parameters, and torque, of all fitted samples. in_memory: the same for the
-    samples in `signals`. edges: the row of the blocks at which each recording ends. uncertainty: relative standard
-    uncertainty of the torque's scale. place: the deflection at which the joint is unloaded, from which the deflections
-    of the signals count.
+    fitted. blocks: columns of the linear parameters, and torque, of all fitted samples. in_memory: columns and torque
+    of the fitted samples in `signals`. edges: the row of the blocks at which each recording ends. uncertainty: relative
+    standard uncertainty of the torque's scale. place: the deflection at which the joint is unloaded, from which the
+    deflections of the signals count.
     """
 
     choice: Choice
@@ -62,8 +62,8 @@ def open_dataset(
     """Pool the recordings, with the model that `choose` returns.
 
     progress: a function that is called at every pass through recordings that do not fit in memory. rest: a function
-    that finds the unloaded deflection, from which deflections count. Raises WrongUse and Untrustworthy like
-    `Source.verify`, the reading of a file and `prepare`.
+    that finds the unloaded deflection, from which deflections count. Raises WrongUse, and Untrustworthy
+    for a damaged or changed recording.
     """
     for source in sources:
         source.verify(progress)

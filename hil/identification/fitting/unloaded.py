@@ -76,8 +76,8 @@ class Unloaded:
         unloaded one.
 
         The two are then not the stiffnesses in the two directions from rest, and their mean describes nothing. None for
-        other springs, and if the unloaded deflection is unknown. values: see `span`. motion: the range of the
-        deflection, rad.
+        other springs, and if the unloaded deflection is unknown. values: the model's parameters, SI, by name. motion:
+        the range of the deflection, rad.
         """
         turns = of_kind(values, "side place")
         if not turns or not self.agreed:

@@ -4,25 +4,22 @@ Model selection leaves out every term that is not significant. But no bench is w
 so the interval of the selected model alone is too narrow. The average is over the selected model with and without these
 small effects, and with and without the terms for which the evidence is weak in either direction. A rare term, such as a
 spring that curves, has the weight that model selection gives to that term: noise often looks a little like a cubic
-spring, which changes Kc by far more than its standard error. An offset and a skew always exist. The skew has the size
-that one recorder can produce, because the two readings of one tick never have the same age.
+spring, which changes Kc by far more than its standard error.
 
-A delayed torque reading shows in fast motion, where the joint seems stiffer. A viscoelastic branch that relaxes faster
-than the joint moves looks the same. In one joint of ten, a part of the apparent delay is caused by such a branch, and
-that part must not be subtracted from Bc.
+The torque reading of every bench is a little late or early. Nine benches of ten have the skew of one recorder, because
+the two readings of one tick never have the same age; the tenth has a torque that is later, as that of a slow cell is.
+Both likely sizes are in the average, each weighted by how well it explains the skew that the data show. In slow motion
+they show none: a late reading then only looks like less damping.
 
-An angle that passed a filter, with a torque that passed none, looks like a delayed angle, and exactly like an inertia.
-For each model with an inertia in place of a skew, both explanations are in the average.
-
-In slow motion a delayed reading only looks like less damping. If no delay is selected, models with each likely delay
-are added, weighted by their likelihood.
+A viscoelastic branch that relaxes faster than the joint moves looks like a late reading too. In one joint of ten, a
+part of the apparent delay is caused by such a branch, and that part must not be subtracted from Bc.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,22 +29,16 @@ from scipy.special import ndtr
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, of_kind, size_of
 from hil.identification.candidates.choice import Choice
-from hil.identification.candidates.late import Alternative
 from hil.identification.mixture.deflection import read_with_errors
-from hil.identification.mixture.largest import BENCH, Largest, contains, largest_model, own_values
-from hil.identification.mixture.rate_laws import falling, growing
+from hil.identification.mixture.hidden import hidden, integrated
+from hil.identification.mixture.largest import BENCH, Largest, Selected, contains, largest_model
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL, UPPER
 from hil.signals.prepare import Signals
-from hil.uncertainty.criteria import dampings_behind_filter
 from hil.uncertainty.model_average import AKAIKE, average
 
 Array = NDArray[np.float64]
-
-_RELAXING = (1.0 / 11.0 / 3.0) ** 0.5  # one joint in ten: any part of what looks late, a standard deviation
-_FURTHER = (1.0 / 3.0) ** 0.5  # the same where two branches were found: what relaxes does so at more speeds
-_PLACES = 2**44  # steps of a range, to one of which a quantile is found
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,96 +57,92 @@ def averaged(
     """Return Kc and Bc averaged over models around the selected one; {} if the larger models cannot be fitted.
 
     used (n,): which samples the model is fitted to. nonlinear (q,): the model's nonlinear parameters. change: the
-    correction for errors of the deflection, SI, by name of the parameter; for larger models it is computed again.
+    correction for errors of the deflection, SI, by name of the parameter; for the larger model it is computed again.
     """
     if not (choice.steps and isinstance(choice.model, CouplingModel)):
         return {}
     kept = replace(signals, motion=signals.motion.of(used), torque=signals.torque[used], jerked=None)
+    selected = Selected(choice.model, nonlinear, kept)
     doubtful = {
         step.term: AKAIKE if step.term in BENCH else step.cost
         for step in choice.steps
         if step.term in CONSIDERED and _is_doubtful(step)
     }
-    selected = Alternative(choice.model, nonlinear, 0.0)
-    own = dict(zip((one.name for one in choice.model.nonlinear), nonlinear.tolist(), strict=True))
-    seems_filtered = size_of(own, "delay") < 0.0 and signals.torque_from == "given"
-    found, criteria = [], []
-
-    def of_selected(larger: Largest) -> Array:
-        return np.array([change.get(name, 0.0) for name in larger.names])
-
-    by_errors: dict[tuple[str, ...], Array] = {}
-
-    def of_larger(larger: Largest) -> Array:
-        names = tuple(larger.names)
-        if names not in by_errors:
-            by_errors[names] = _by_errors(larger, signals, used)
-        return by_errors[names]
-
-    for one in (selected, *choice.alternatives):
-        # an alternative with other terms may be far off, and with it what errors would do to its parameters
-        is_own = one.model.name == choice.model.name
-        by_change = of_larger if is_own and any(change.values()) else of_selected
-        around = _around(one, doubtful, kept, by_change, grows=is_own)
-        if not around and one is selected:
-            return {}
-        if not is_own and seems_filtered:
-            around += _behind_filter(one, around, kept)
-        found += [values for values, _ in around]
-        criteria += [one.criterion + more for _, more in around]
-    for late in choice.lateness:
-        stiff, damped = (found[0][name].half_width for name in c.COUPLING)
-        damped = float(np.hypot(damped, NORMAL * late.spread))
-        found.append({"Kc": Averaged(late.Kc + change["Kc"], stiff), "Bc": Averaged(late.Bc + change["Bc"], damped)})
-        criteria.append(late.criterion)
-    weights = np.exp(-0.5 * (np.array(criteria) - min(criteria)))
-    weights /= weights.sum()
-    mixed = {name: _mixed(weights, [one[name] for one in found]) for name in c.COUPLING}
-    bc, hidden = mixed["Bc"], NORMAL * _hidden(selected, kept, mixed["Kc"].value)
-    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, hidden)))}
+    largest = largest_model(selected, tuple(doubtful))
+    if largest is None:
+        return {}
+    more = _by_errors(largest, signals, used) if any(change.values()) else np.zeros(len(largest.values))
+    likely = _likely_models(largest, more, selected)
+    means = [(mean, against) for one, against in likely if (mean := _mean(one, doubtful))]
+    if not means:
+        return {}
+    found, against = [mean for mean, _ in means], np.array([odds for _, odds in means])
+    if not contains(largest, selected):
+        own = {name: selected.values[name] + float(more[largest.names.index(name)]) for name in c.COUPLING}
+        found = [{name: _about(own[name], one[name]) for name in c.COUPLING} for one in found]
+    weights = np.exp(-0.5 * (against - against.min()))
+    mixed = {name: _mixed(weights / weights.sum(), [one[name] for one in found]) for name in c.COUPLING}
+    bc, further = mixed["Bc"], NORMAL * _hidden(selected, mixed["Kc"].value)
+    return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, further)))}
 
 
-def _behind_filter(
-    one: Alternative, around: Sequence[tuple[dict[str, Averaged], float]], data: Signals
-) -> list[tuple[dict[str, Averaged], float]]:
-    """Return the estimates of a model with an inertia, for a joint whose angle passed a filter; [] if the model has no
-    inertia.
+def _likely_models(largest: Largest, more: Array, selected: Selected) -> Iterator[tuple[Largest, float]]:
+    """Yield the largest model for each likely age of the torque reading, alone and with each effect that the recording
+    may hide, with twice the log odds against each.
 
-    one: the model. around: the averages of Kc and Bc for this model, each with its difference of Akaike's criterion.
-    Inertia and filter give the same torque (`damping_behind_filter`), so neither is likelier. Of the two filters that
-    explain the inertia, the faster one is used, because the user would know of a slow filter.
+    more (p,): the correction for errors of the deflection. The hidden effects of one kind together are at most as
+    likely as the likeliest model without: where the joint reverses, errors of the rate look like most of them.
     """
-    inertia = size_of(own_values(one, data), "moment of inertia")
-    found = []
-    for mean, criterion in around:
-        stiff, damped = mean["Kc"], mean["Bc"]
-        behind = dampings_behind_filter(stiff.value, damped.value, inertia)
-        if not behind:
-            continue
-        # by how much it changes with the damping that is seen, and it is no more than that
-        gain = behind[-1] / max(behind[-1] - behind[0], 1e-300)
-        half_width = min(gain * damped.half_width, damped.half_width + damped.value)
-        found.append((mean | {"Bc": Averaged(behind[-1], half_width)}, criterion))
-    return found
+    aged = [*_late(replace(largest, values=largest.values + more), selected)]
+    yield from aged
+    least = min(odds for _, odds in aged)
+    for larger, effect in hidden(largest, selected):
+        found = [(*integrated(larger, effect.size, one.likely), odds) for one, odds in aged]
+        against = [odds + further + effect.against for _, further, odds in found]
+        too_likely = max(least - min(against), 0.0) + 2.0 * math.log(effect.among)
+        for (one, *_), odds in zip(found, against, strict=True):
+            if one.is_possible:
+                yield replace(one, values=one.values + more), odds + too_likely
 
 
-def _hidden(one: Alternative, data: Signals, stiffness: float) -> float:
+def _late(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, float]]:
+    """Yield the largest model for a torque reading of usual age and for a late one, with twice the log odds against
+    each.
+
+    A skew d with the standard error e is as likely as a draw from a normal distribution of variance e^2 + s^2, where s
+    is the standard deviation of the skew of such benches. A skew that was selected may have any size. The model is
+    yielded as it is, if it has no skew.
+    """
+    delays = of_kind(largest.names, "delay")
+    if not delays:
+        yield largest, 0.0
+        return
+    at, is_selected = largest.names.index(delays[0]), bool(of_kind((p.name for p in selected.model.nonlinear), "delay"))
+    found, variance = float(largest.values[at]), float(largest.sampling.matrix[at, at])
+    usual = c.TICK_SHARE * float(np.median(np.diff(selected.data.motion.time)))
+    for size, rare in ((usual, 0.0), (math.inf if is_selected else c.LATE_READING, c.ONE_IN_TEN)):
+        likely, both = largest.likely.copy(), variance + size**2
+        likely[1, at] = size
+        by_size = found**2 / both + math.log(both / variance) if math.isfinite(size) else AKAIKE
+        yield replace(largest, likely=likely), rare + by_size
+
+
+def _hidden(one: Selected, stiffness: float) -> float:
     """Return the standard deviation, N m s/rad, of the damping that Bc would contain wrongly if a branch caused a part
     of the delay.
 
-    For a model with one branch, `LateReading.lateness` already contains every second branch. A third branch is assumed
-    to relax faster than the second by the same ratio as the second does than the first. To second order a branch of
-    stiffness K and time constant tau delays the torque by K tau^2/Bc and adds a damping of K tau; in fast motion both
-    branches act as stiffness.
+    A further branch is assumed to relax faster than the fastest one of the model by the same ratio as that does than
+    the next. To second order a branch of stiffness K and time constant tau delays the torque by K tau^2/Bc and adds a
+    damping of K tau; in fast motion all branches act as stiffness.
     """
     nonlinear = dict(zip((own.name for own in one.model.nonlinear), one.nonlinear.tolist(), strict=True))
     late = sum(abs(nonlinear[name]) for name in of_kind(nonlinear, "delay", "lag time"))
     times = sorted(nonlinear[name] for name in of_kind(nonlinear, "relaxation time"))
     if late == 0.0 or len(times) < 2:
-        return float(_RELAXING * stiffness * late)
-    values, (fast, slow) = own_values(one, data), times[:2]
+        return float(c.RELAXING * stiffness * late)
+    values, (fast, slow) = one.values, times[:2]
     stiffest = stiffness + size_of(values, "relaxing stiffness")
-    return float(_FURTHER * late * (stiffest + values["Bc"] * slow / fast**2))
+    return float(c.FURTHER * late * (stiffest + values["Bc"] * slow / fast**2))
 
 
 def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
@@ -167,13 +154,13 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     """
     values, errors = (np.array(of) for of in zip(*((one.value, one.half_width) for one in found), strict=True))
     low, high = float(np.min(values - 2.0 * errors)), float(np.max(values + 2.0 * errors))
-    step = (high - low) / _PLACES  # scipy.optimize would take a tenth of a run to import
+    step = (high - low) / c.PLACES  # scipy.optimize would take a tenth of a run to import
 
     def beyond(share: float) -> float:
         def below(place: int) -> float:
             return float(weights @ ndtr(NORMAL * (low + place * step - values) / errors))
 
-        return low + step * bisect_left(range(_PLACES), share, key=below)
+        return low + step * bisect_left(range(c.PLACES), share, key=below)
 
     least, value, most = beyond(1.0 - UPPER), beyond(0.5), beyond(UPPER)
     return Averaged(value, max(most - value, value - least))
@@ -182,8 +169,8 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
 def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
     """Return the correction (p,) of the larger model's parameters for errors of the deflection.
 
-    The correction is computed at the larger model's fit, which is linearised at a smaller model. That fit may lie
-    beyond the bounds, where no torque can be computed; then the values at the bounds are used.
+    The correction is computed at the larger model's fit, which is linearised at a smaller model. The fit of the
+    larger model may lie beyond the bounds, where no torque can be computed; then the values at the bounds are used.
     """
     found, count = np.zeros(len(larger.values)), len(larger.model.parameters)
     values, linear = larger.values[:count].copy(), len(larger.model.linear)
@@ -195,42 +182,6 @@ def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Ar
     if errors is not None:
         found[:count] = errors.change
     return found
-
-
-def _around(
-    model: Alternative,
-    doubtful: Mapping[str, float],
-    data: Signals,
-    by_errors: Callable[[Largest], Array],
-    *,
-    grows: bool,
-) -> list[tuple[dict[str, Averaged], float]]:
-    """Return averages of Kc and Bc for one model with and without the effects that every bench has; [] if impossible.
-
-    The first average is over all models contained in the largest one. The next are the averages with friction that
-    falls with the rate and, if `grows`, with damping that grows with the rate. Each average has its difference of
-    Akaike's criterion. If the larger model does not contain the smaller one, its average would be wrong: then the
-    values of the smaller model are returned, and the distance to the average is included in their half widths.
-
-    doubtful: the terms that the data do not decide on, and the cost of each. by_errors: a function that returns the
-    correction of all parameters for errors of the deflection.
-    """
-    largest = largest_model(model, tuple(doubtful), data)
-    if largest is None:
-        return []
-    change = by_errors(largest)
-    found = [(largest, 0.0), *falling(largest, data.motion)]
-    found = [(replace(one, values=one.values + change), criterion) for one, criterion in found]
-    found += growing(largest, model, tuple(doubtful), data, by_errors) if grows else []
-    means = [(_mean(one, doubtful), criterion) for one, criterion in found]
-    if not means[0][0]:
-        return []
-    means = [one for one in means if one[0]]
-    if contains(largest, model, data):
-        return means
-    own = own_values(model, data)
-    values = {name: own[name] + float(change[largest.names.index(name)]) for name in c.COUPLING}
-    return [({name: _about(values[name], mean[name]) for name in c.COUPLING}, more) for mean, more in means]
 
 
 def _about(value: float, mean: Averaged) -> Averaged:

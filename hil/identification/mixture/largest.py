@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
 from hil.identification.candidates.fits import own
-from hil.identification.candidates.late import Alternative
 from hil.identification.fitting.jumps import rate_beside_jumps
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
@@ -59,6 +59,13 @@ class Largest:
     likely: Array
 
     @property
+    def is_possible(self) -> bool:
+        """Return whether no friction of the selected terms is negative: it would drive the joint."""
+        chosen = zip(self.names, self.values.tolist(), strict=True)
+        rubs = {name for name in self.names if name in PARAMETERS and PARAMETERS[name].friction}
+        return all(value >= 0.0 for name, value in chosen if name in rubs.difference(self.added_names))
+
+    @property
     def added_names(self) -> list[str]:
         """Return the names of the parameters of the added terms."""
         return [name for term in self.added for name in own(term)]
@@ -82,13 +89,29 @@ class Largest:
         return [name for term in self.added if TERMS[term].seldom for name in own(term)]
 
 
-def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) -> Largest | None:
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """The selected model, its nonlinear parameters (q,), SI, and the signals that it is fitted to."""
+
+    model: CouplingModel
+    nonlinear: Array
+    data: Signals
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Return the linear parameters, SI, by name, fitted at the nonlinear ones."""
+        bounds = self.model.bounds(self.data.motion, self.data.band[1])
+        fit = Problem(self.model, self.data.motion, self.data.torque, *bounds).solve(self.nonlinear)
+        return dict(zip((one.name for one in self.model.linear), fit.values.tolist(), strict=False))
+
+
+def largest_model(selected: Selected, doubtful: Sequence[str]) -> Largest | None:
     """Return the largest model in which each added term can be distinguished from the others; None if there is none.
 
-    The largest model is linearised at the fit of the smaller model: the added effects are small, and a nonlinear search
-    would give them, together with a lag, values far too large.
+    It is linearised at the fit of the selected model: the added effects are small, and a nonlinear search would give
+    them, together with a lag, values far too large.
     """
-    chosen = smaller.model.name.split("+")
+    data, chosen = selected.data, selected.model.name.split("+")
     added: list[str] = []
     curves = _CURVES if set(of_role("curve")).intersection(chosen) else ()
     unseen = slowest(data.motion) == 0.0  # the sign of friction would be that of the rate's noise
@@ -98,7 +121,7 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
     for term in (*BENCH, *doubtful, *curves):
         added += [term] if is_addable(term, (*chosen, *added)) and term not in hidden else []
     start = {parameter.name: parameter.absent for parameter in PARAMETERS.values()}
-    start |= dict(zip((one.name for one in smaller.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
+    start |= dict(zip((one.name for one in selected.model.nonlinear), selected.nonlinear.tolist(), strict=True))
     while True:
         larger = parse("+".join((*chosen, *added))).anchored(data.motion)
         problem = Problem(larger, data.motion, data.torque, *larger.bounds(data.motion, data.band[1]))
@@ -115,8 +138,8 @@ def largest_model(smaller: Alternative, doubtful: Sequence[str], data: Signals) 
         sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in own(term))]
         if not alike:
-            usual_skew = smaller.usual_skew or any(TERMS[term].delays for term in added)
-            likely = _likely(names, data.motion, usual_skew=usual_skew)
+            likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
+            likely[:, [name == _PRESLIDING for name in names]] = 1.0
             sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
@@ -150,20 +173,6 @@ def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Sign
     return replace(sampling, matrix=sampling.matrix + np.outer(moved, moved))
 
 
-def _likely(names: Sequence[str], motion: Motion, *, usual_skew: bool) -> Array:
-    """Return the expected value of each parameter and its standard deviation before the data are seen, (2, p).
-
-    usual_skew: whether the skew is no larger than that of every recorder.
-    """
-    likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
-    if usual_skew:
-        (skew,) = of_kind(names, "delay")
-        likely[1, names.index(skew)] = c.TICK_SHARE * float(np.median(np.diff(motion.time)))
-    if _PRESLIDING in names:
-        likely[:, names.index(_PRESLIDING)] = 1.0
-    return likely
-
-
 def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     """Return the difference in torque (n,), N m, between friction that builds up over Fc/Kc and friction that reverses
     at once.
@@ -180,14 +189,14 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
 
 
-def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
+def contains(largest: Largest, selected: Selected) -> bool:
     """Return whether the larger fit, with the added parameters set to zero, equals the smaller fit within its interval.
 
     Both are fits to the same data. They can differ because residuals are correlated over longer times than the average
     assumes. Then the covariance of the larger fit does not describe how its parameters change together, and the average
     would be wrong.
     """
-    own = own_values(smaller, data)
+    own = selected.values
     names, matrix = largest.names, largest.sampling.matrix
     added = [names.index(name) for name in (*largest.added_names, _PRESLIDING) if name in names]
     added += [at for at, name in enumerate(names) if name.startswith(_DEVIATING)]
@@ -199,10 +208,3 @@ def contains(largest: Largest, smaller: Alternative, data: Signals) -> bool:
     with np.errstate(invalid="ignore"):  # one that is not distinct has no reach, as beside a factor of zero
         reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
     return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in c.COUPLING)
-
-
-def own_values(one: Alternative, data: Signals) -> dict[str, float]:
-    """Return the linear parameters of the model `one`, SI, by name, fitted at the model's nonlinear parameters."""
-    bounds = one.model.bounds(data.motion, data.band[1])
-    values = Problem(one.model, data.motion, data.torque, *bounds).solve(one.nonlinear).values.tolist()
-    return dict(zip((parameter.name for parameter in one.model.linear), values, strict=False))

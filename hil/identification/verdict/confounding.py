@@ -13,7 +13,6 @@ from ga.model.terms import TERMS, of_kind, of_role, size_of
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.criterion import predicts_better
 from hil.identification.candidates.fits import LATE, Fits
-from hil.identification.candidates.late import EARLIER
 from hil.identification.verdict.evidence import Evidence
 from hil.signals import constants as c
 from hil.uncertainty.criteria import dampings_behind_filter
@@ -201,7 +200,11 @@ def _is_distinct(evidence: Evidence) -> bool:
     """Return whether the named model predicts held-out blocks clearly better than with another cause of its skew."""
     signals, terms = evidence.signals, tuple(evidence.model.name.split("+"))
     fits = Fits(signals.motion, signals.torque, signals.band[1], signals.window)
-    others = [tuple(cause if TERMS[term].delays else term for term in terms) for cause in EARLIER if cause not in terms]
+    others = [
+        tuple(cause if TERMS[term].delays else term for term in terms)
+        for cause in (*LATE, *of_role("mass"))
+        if cause not in terms
+    ]
     own = fits.candidate(terms, {})
     found = [fits.candidate_or_none(one, own.values) for one in others]
     return all(predicts_better(own, one) > c.WORSE for one in found if one is not None)

@@ -40,9 +40,9 @@ class Evidence:
     confidence intervals. exact: values and half intervals of the selected model alone, where `values` and `errors` are
     averaged over models. scattered: the variance components of pooled recordings. unbounded: the values without sign
     constraints, and their half intervals; None if no constraint acts. gap: the optimiser gap, relative. deflection: the
-    effect of errors of the deflection on the values; None if the rate was recorded too. unmoved: the reason why nothing
-    moved, "" if the joint moved. selected: whether the model was selected, and not named by the user. span: the range
-    of Kc, if a selected model has no single Kc and the motion covered the range, or if the unloaded deflection is
+    effect of errors of the deflection on the values; None if the rate was recorded too. unmoved: the reason why the
+    joint did not move; "" if it moved. selected: whether the model was selected, and not named by the user. span: the
+    range of Kc, if a selected model has no single Kc and the motion covered the range, or if the unloaded deflection is
     unknown.
     """
 
@@ -168,8 +168,8 @@ def span_of_stiffness(values: Mapping[str, float], *, sliding_only: bool = False
     depends.
 
     None for a single Kc, and for two values of Kc that are close: Kc is then their mean. Friction in proportion to the
-    torque does not count as a stiffness. values: see `sliding`. sliding_only: whether the stiffness before friction
-    slides is ignored.
+    torque does not count as a stiffness. values: the model's parameters, SI, by name. sliding_only: whether the
+    stiffness before friction slides is ignored.
     """
     before = None if of_kind(values, "load share") else sliding(values)
     kc, half = values.get("Kc", 0.0), abs(size_of(values, "side stiffness"))
@@ -194,9 +194,9 @@ def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> b
     """Return whether friction slides in nearly all of a motion, so that sticking changes Kc by less than half of its
     interval.
 
-    values: see `sliding`. half_width: the half interval of Kc, N m/rad. The stiffening is the slope, over the
-    deflection between two reversals, of friction that builds up as -1 + 2 (1 - exp(-x/reach)); it is small if the joint
-    travels many times `reach`. The travel is that of a sine with the same standard deviation.
+    values: the model's parameters, SI, by name. half_width: the half interval of Kc, N m/rad. The stiffening is the
+    slope, over the deflection between two reversals, of friction that builds up as -1 + 2 (1 - exp(-x/reach)); it is
+    small if the joint travels many times `reach`. The travel is that of a sine with the same standard deviation.
     """
     before = sliding(values)
     if before is None:

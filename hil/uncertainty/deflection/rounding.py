@@ -47,7 +47,7 @@ def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
 
 
 def _per_rad(part: Fitted, left: Array) -> Array:
-    """Return the change of the residuals (n,), N m, for an error of 1 rad in the deflection."""
+    """Return the derivative (n,) of the residuals `left`, N m/rad, with respect to an error of the deflection."""
     count, samples = part.window.count, len(part.motion.whole[0])
     one_off = moved(part.motion, (np.full(samples, count), *np.zeros((2, samples))))
     return np.asarray((left - part.linearised(one_off)[1]) / count)

@@ -68,5 +68,5 @@ def signals(motion: Motion, torque: Array, highest: float = HIGHEST, error: floa
     return Signals(motion, torque, Defects(), (0.2, highest), 0.0, "given", with_error(error))
 
 
-def selected(given: Signals, terms: tuple[str, ...] = SELECTED, accounts: tuple[str, ...] = ()) -> Selection:
-    return select(given, np.ones(len(given), dtype=bool), terms, accounts)
+def selected(given: Signals, terms: tuple[str, ...] = SELECTED) -> Selection:
+    return select(given, np.ones(len(given), dtype=bool), terms)

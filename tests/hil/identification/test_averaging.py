@@ -12,13 +12,12 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
 from ga.model.terms import TERMS
-from ga.model.trajectory import Motion
 from hil.identification.candidates.choice import Choice, choose
-from hil.identification.candidates.late import Alternative
+from hil.identification.candidates.criterion import by_rate, density_at_zero
 from hil.identification.identify import identify
-from hil.identification.mixture import average, largest, rate_laws
+from hil.identification.mixture import average, hidden, largest
 from hil.identification.mixture.average import Averaged
-from hil.identification.mixture.largest import Largest, largest_model
+from hil.identification.mixture.largest import Largest, Selected, largest_model
 from hil.identification.result import Step
 from hil.recording.reader import Array, Recording
 from hil.report.identification_json import as_json
@@ -206,7 +205,7 @@ def test_averages_are_held_against_the_values_of_the_fit_whatever_its_columns_de
     model = parse(f"linear+offset+{form}").anchored(signals.motion)
     bounds = model.bounds(signals.motion, signals.band[1])
     found = fit(Problem(model, signals.motion, signals.torque, *bounds))
-    own = largest.own_values(Alternative(model, found.nonlinear, 0.0), signals)
+    own = Selected(model, found.nonlinear, signals).values
     assert list(own.values()) == pytest.approx(found.optimum.genes.tolist(), rel=1e-6, abs=1e-9)
 
 
@@ -265,7 +264,10 @@ def test_the_interval_of_kc_holds_that_of_a_tendon_whose_torque_is_exponential(m
 
 @pytest.mark.study
 def test_the_interval_of_kc_holds_that_no_tendon_follows_an_exponential_exactly(make_recording: Maker) -> None:
-    """Most of the torque is a tangent: an exponential alone has Kc 1.0 % too low, thirteen times its interval."""
+    """Most of the torque is a tangent: an exponential alone has Kc 1.0 % too low, thirteen times its interval.
+
+    With what departs from it, Kc is in 1.5 half widths.
+    """
 
     def stiffens(channels: dict[str, Array]) -> None:
         angle = channels["dtheta"]
@@ -275,7 +277,7 @@ def test_the_interval_of_kc_holds_that_no_tendon_follows_an_exponential_exactly(
     found = identify([make_recording(samples=4000, noise=1e-5, seed=1, change=stiffens)], None, SEARCH)
     assert found.model.name == "linear+exponential"
     low, high = found["Kc"].ci95
-    assert low < 0.02 < high
+    assert abs(0.5 * (low + high) - 0.02) < 0.75 * (high - low)
 
 
 @pytest.mark.study
@@ -331,8 +333,7 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
 ) -> None:
     """Models without such friction are sure of a damping that is too low by three times their interval."""
     found = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
-    monkeypatch.setattr(rate_laws, "_FALLS_OVER", ())
-    monkeypatch.setattr(average, "growing", lambda *_: [])
+    monkeypatch.setattr(average, "hidden", lambda *_: [])
     plain = [with_friction(make_recording, rise, 1, form) for rise in (0.0, 0.6)]
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
@@ -357,32 +358,14 @@ def test_the_interval_of_the_damping_holds_that_it_grows_with_the_rate_where_noi
     assert choice.model.name == "linear"
     given = (choice, signals, used, np.empty(0), {"Kc": 0.0, "Bc": 0.0})
     found = average.averaged(*given)["Bc"]
-    monkeypatch.setattr(average, "growing", lambda *_: [])
+    monkeypatch.setattr(average, "hidden", lambda *_: [])
     plain = average.averaged(*given)["Bc"]
     assert abs(found.value - BC) < found.half_width
     assert abs(plain.value - BC) > 3.0 * plain.half_width
 
 
-@pytest.mark.parametrize(("at_speed", "possible"), [(0.03, 5), (-0.01, 3)])
-def test_friction_that_falls_until_it_drives_the_joint_is_no_model(at_speed: float, possible: int) -> None:
-    time = np.linspace(0.0, 20.0, 4000)
-    angle, rate = np.sin(3.0 * time) + np.sin(7.1 * time), 3.0 * np.cos(3.0 * time) + 7.1 * np.cos(7.1 * time)
-    columns = np.column_stack([angle, rate, np.sign(rate)])
-    fallen = np.sign(rate) * np.exp(-((rate / 4.0) ** 2))
-    torque = columns @ (0.3, 3e-3, at_speed) + 0.03 * fallen + 1e-3 * np.random.default_rng(0).standard_normal(4000)
-    values = least_absolute_deviations(columns, torque).genes
-    likely = np.stack([np.zeros(3), np.full(3, np.inf)])
-    sampling = covariance(Blocks.of(columns, torque), values)
-    largest = Largest(parse("linear+coulomb"), (), ["Kc", "Bc", "Fc"], columns, torque, values, sampling, likely)
-    motion = Motion(time, angle, rate, np.gradient(rate, time), np.zeros(4000))
-    found = rate_laws.falling(largest, motion)
-    assert len(found) == possible
-    assert all(one.values[2] >= 0.0 for one, _ in found)
-    assert sum(math.exp(-0.5 * criterion) for _, criterion in found) <= 1.0  # together no likelier than the model
-
-
-def test_damping_that_grows_is_no_likelier_than_the_model_that_was_selected(make_recording: Maker) -> None:
-    """It fits far better here, but selection did not take it."""
+def test_effects_that_fit_far_better_than_the_selected_model_are_together_no_likelier(make_recording: Maker) -> None:
+    """Damping grows with the rate here, but selection did not take that."""
 
     def grows(channels: dict[str, Array]) -> None:
         sweep(channels, 0.0, 2)
@@ -391,12 +374,52 @@ def test_damping_that_grows_is_no_likelier_than_the_model_that_was_selected(make
 
     with Recording(make_recording(samples=4000, change=grows)) as recording:
         signals = prepare(recording, None)
-    one = Alternative(parse("linear").anchored(signals.motion), np.empty(0), 0.0)
-    larger = largest_model(one, (), signals)
+    selected = Selected(parse("linear").anchored(signals.motion), np.empty(0), signals)
+    larger = largest_model(selected, ())
     assert larger is not None
-    (found,) = rate_laws.growing(larger, one, (), signals, lambda it: np.zeros(len(it.values)))
-    assert found[0].values[1] < 0.9 * larger.values[1]
-    assert found[1] == 0.0
+    likely = list(average._likely_models(larger, np.zeros(len(larger.values)), selected))
+    least = min(against for _, against in likely)
+    assert likely[0][1] == pytest.approx(least)
+    grown = [one.values[1] for one, against in likely[1:] if against == pytest.approx(least)]
+    assert len(grown) == 1  # beside a reading of one age; it is less likely beside the other
+    assert grown[0] < 0.95 * larger.values[1]
+
+
+@pytest.mark.parametrize(
+    ("friction", "added", "possible"), [(-0.01, (), False), (0.01, (), True), (-0.01, ("coulomb",), True)]
+)
+def test_a_joint_that_its_friction_would_drive_is_none(friction: float, added: tuple[str, ...], possible: bool) -> None:
+    """A little friction of every bench, which the average adds, is a nuisance of either sign."""
+    columns = np.random.default_rng(0).standard_normal((500, 3))
+    values = np.array([KC, BC, friction])
+    sampling, likely = covariance(Blocks.of(columns, columns @ values + 1e-3), values), np.zeros((2, 3))
+    found = Largest(parse("linear+coulomb"), added, ["Kc", "Bc", "Fc"], columns, values, values, sampling, likely)
+    assert found.is_possible is possible
+
+
+@pytest.mark.parametrize(("size", "delay"), [(2e-4, 6e-4), (2e-4, 0.0), (2e-6, 1e-4)])
+def test_a_late_reading_has_the_odds_of_the_integral_over_all_skews(
+    make_recording: Maker, size: float, delay: float
+) -> None:
+    """A usual recorder has a tenth of a tick, one bench in ten 4 ms, both one standard deviation."""
+
+    def late(channels: dict[str, Array]) -> None:
+        sweep(channels, delay, 0)
+        channels["torque"] += (size - 2e-4) * np.random.default_rng(0).standard_normal(len(channels["time"]))
+
+    with Recording(make_recording(change=late)) as recording:
+        signals = prepare(recording, None)
+    selected = Selected(parse("linear").anchored(signals.motion), np.empty(0), signals)
+    larger = largest_model(selected, ())
+    assert larger is not None
+    at = larger.names.index("skew")
+    found, error = larger.values[at], math.sqrt(larger.sampling.matrix[at, at])
+    skews, odds = np.linspace(-0.05, 0.05, 2_000_001), []
+    for usual, rare in ((2e-4, 1.0), (4e-3, 0.1)):
+        density = np.exp(-0.5 * (skews / usual) ** 2) / usual
+        odds.append(rare * float(np.sum(density * np.exp(-0.5 * ((skews - found) / error) ** 2))))
+    (_, first), (_, other) = average._late(larger, selected)
+    assert other - first == pytest.approx(-2.0 * math.log(odds[1] / odds[0]), abs=1e-3)
 
 
 def test_an_inertia_that_a_skew_beside_it_makes_negative_is_none() -> None:
@@ -444,13 +467,16 @@ def test_errors_of_the_deflection_are_computed_within_the_bounds_where_the_large
     assert computed[0][:3] == pytest.approx(values[:3])
 
 
+def by_rate_of(torque: Array, left: Array) -> float:
+    return by_rate(len(torque), density_at_zero(left, 0.0), float(np.mean(np.abs(torque))))
+
+
 def test_errors_of_the_rate_decide_between_no_models() -> None:
     """It is known to 0.03 % of the torque: of a fit that is this good the likelihood says nothing."""
     rng = np.random.default_rng(0)
     column, noise = rng.standard_normal((10_000, 1)), rng.standard_normal(10_000)
-    found = [rate_laws._blurred(column, np.ones(1), column[:, 0] + size * noise) for size in (0.1, 1e-4)]
-    assert found[0] == pytest.approx(1.0, abs=0.1)
-    assert found[1] > 1000.0
+    assert by_rate_of(column[:, 0], 0.1 * noise) == pytest.approx(0.0, abs=0.1)
+    assert by_rate_of(column[:, 0], 1e-4 * noise) > 1000.0
 
 
 def test_a_value_follows_no_unlikely_model_but_its_interval_reaches_it() -> None:
@@ -484,8 +510,9 @@ def test_friction_that_falls_is_computed_where_a_linearised_fit_has_no_way_to_bu
     sampling = covariance(Blocks.of(columns, target), values)
     likely = np.stack([np.zeros(4), np.full(4, np.inf)])
     names = [parameter.name for parameter in model.parameters]
-    found = rate_laws.falling(Largest(model, (), names, columns, target, values, sampling, likely), motion)
-    assert all(np.isfinite(one.values).all() for one, _ in found)
+    beyond = Largest(model, (), names, columns, target, values, sampling, likely)
+    found = hidden._falling(beyond, Selected(model, np.array([0.01]), signals))
+    assert all(np.isfinite(one.column).all() for one in found)
 
 
 @pytest.mark.parametrize(
@@ -507,6 +534,6 @@ def test_what_looks_late_may_be_the_damping_of_a_further_branch(
     """Branches of a half and a quarter of Kc, which relax in 40 and 400 ms; a third one would in 4 ms."""
     with Recording(make_recording(change=lambda channels: sweep(channels, 0.0, 1))) as recording:
         signals = prepare(recording, None)
-    one = Alternative(parse(name).anchored(signals.motion), np.array(nonlinear), 0.0)
-    monkeypatch.setattr(average, "own_values", lambda *_: {"K1": 0.5 * KC, "K2": 0.25 * KC, "Bc": BC})
-    assert average._hidden(one, signals, KC) == pytest.approx(expected)
+    one = Selected(parse(name).anchored(signals.motion), np.array(nonlinear), signals)
+    monkeypatch.setitem(one.__dict__, "values", {"K1": 0.5 * KC, "K2": 0.25 * KC, "Bc": BC})
+    assert average._hidden(one, KC) == pytest.approx(expected)

@@ -291,7 +291,7 @@ def test_the_interval_of_bc_includes_what_rates_beside_jumps_of_the_acceleration
     choice = choose(None, signals, linear_only=False)
     assert choice.model.name == "linear"
     given = (choice, signals, choice.described(signals), np.empty(0), {"Kc": 0.0, "Bc": 0.0})
-    monkeypatch.setattr(average, "growing", lambda *_: [])  # it would hide the difference
+    monkeypatch.setattr(average, "hidden", lambda *_: [])  # it would hide the difference
     included = average.averaged(*given)["Bc"].half_width
     monkeypatch.setattr(largest, "rate_beside_jumps", lambda *_: None)
     assert included > 1.05 * average.averaged(*given)["Bc"].half_width

@@ -66,15 +66,15 @@ def recorded(make_recording: Maker, angle: Array, torque: Array, command: Array 
 def test_set_points_that_are_held_between_readings_are_no_misfit_and_leave_bc_in_its_interval(
     make_recording: Maker,
 ) -> None:
-    """A skew that stood for them, of 44 us, made Bc 0.2 % too high, beside a misfit."""
+    """A skew that stands for them, of 44 us, makes Bc 0.2 to 0.4 % too high."""
     angle, rate = driven(noise(), 14.0)
     found = identify([recorded(make_recording, angle, KC * angle + BC * rate)], None, SEARCH)
     assert all(one.code != "misfit" for one in found.diagnostics)
     for name, truth in (("Kc", KC), ("Bc", BC)):
         low, high = found[name].ci95
         assert low < truth < high
-        assert high - low < 0.015 * truth
-    assert 0.5 * sum(found["Bc"].ci95) == pytest.approx(BC, rel=1e-3)
+        assert high - low < 0.02 * truth
+    assert 0.5 * sum(found["Bc"].ci95) == pytest.approx(BC, rel=5e-3)
 
 
 @pytest.mark.study
@@ -129,12 +129,9 @@ def test_nothing_is_taken_off_with_many_readings_in_a_period_nor_known_where_no_
 
 
 def test_what_a_drive_takes_off_the_rate_is_the_jump_of_the_acceleration_times_a_twelfth_of_the_step() -> None:
-    """Of a drive with a damping ratio of 0.75, and of none that the readings would not follow."""
-    time, omega, drive = np.arange(0.0, 1000.0) * STEP, 2.0 * np.pi * 3.0, 2.0 * np.pi * 16.0
+    """Of the usual drive, of 32 Hz and a damping ratio of 0.75."""
+    time, omega, drive = np.arange(0.0, 1000.0) * STEP, 2.0 * np.pi * 3.0, 2.0 * np.pi * 32.0
     sine, cosine = np.sin(omega * time), np.cos(omega * time)
     motion = Motion(time, sine, omega * cosine, -(omega**2) * sine, np.zeros_like(time))
     jump = STEP * drive**2 * (omega * cosine - 1.5 / drive * omega**2 * sine - omega**3 / drive**2 * cosine)
-    off = taken_off(motion, 16.0)
-    assert off is not None
-    assert off[50:-50] == pytest.approx(STEP / 12.0 * jump[50:-50], rel=1e-3, abs=1e-4)
-    assert taken_off(motion, 100.0) is None
+    assert taken_off(motion)[50:-50] == pytest.approx(STEP / 12.0 * jump[50:-50], rel=1e-3, abs=1e-4)

@@ -1,10 +1,9 @@
-"""Diagnostics of parameters that are not identifiable, and of terms that the data cannot decide about."""
+"""Diagnostics of parameters that are not identifiable."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -17,12 +16,11 @@ from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.identify import identify
-from hil.identification.result import Estimate, Identification, Repeatability, Step
+from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.verdict import confounding
 from hil.identification.verdict.evidence import Evidence, span_met, span_of_stiffness, with_misfit
 from hil.identification.verdict.identifiability import other_stiffness
 from hil.identification.verdict.misfit import lost_by_misfit
-from hil.identification.verdict.rivals import beside_doubtful_terms, with_rivals
 from hil.recording.reader import Array
 from hil.report.identification import headline, summary_lines
 from hil.report.identification_json import as_json
@@ -34,10 +32,6 @@ from ..conftest import Maker
 from .conftest import SEARCH
 
 
-def step(term: str, bc: float, gain: float = -5.0, *, included: bool = False) -> Step:
-    return Step(f"linear+{term}", term, 1e-4, 1e-4, gain, 0.02, bc, included, 11.0)
-
-
 def estimate(name: str, value: float, half: float) -> Estimate:
     return Estimate(
         name, "", value, (value - half, value + half), Repeatability(value, value, 0.0), True, None, (0.0, 1.0)
@@ -45,68 +39,6 @@ def estimate(name: str, value: float, half: float) -> Estimate:
 
 
 FOUND = (estimate("Kc", 0.02, 1e-5), estimate("Bc", 2e-4, 1e-6))
-CHOSEN = step("linear", 2e-4, included=True)
-
-
-def test_a_term_that_would_move_a_parameter_out_of_its_interval_is_named() -> None:
-    found, (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), FOUND)
-    assert found == FOUND
-    assert (diagnostic.code, diagnostic.parameter, diagnostic.is_error) == ("model-dependent", "Bc", False)
-    assert "whether skew is present" in diagnostic.message
-    assert "changes by +5.00%, which is outside its interval" in diagnostic.message
-
-
-def test_an_interval_includes_the_value_with_a_rarer_term_that_no_average_weighs() -> None:
-    (kc, bc), (diagnostic,) = with_rivals((CHOSEN, step("lugre", 2.1e-4)), FOUND)
-    assert kc == FOUND[0]
-    assert bc.ci95 == pytest.approx((1.9e-4, 2.1e-4))
-    assert "changes by +5.00%, which is in its interval" in diagnostic.message
-
-
-@pytest.mark.parametrize(("values", "errors"), [((2.7e-4, 1.4e-4), 0), ((2.8e-4, 1.2e-4), 2), ((2.7e-4, -1e-3), 0)])
-def test_models_that_differ_as_much_as_an_interval_may_be_wide_are_an_error_where_they_are_possible(
-    values: tuple[float, float], errors: int
-) -> None:
-    """35 % of 0.2 mN m s/rad: half of what lies between the least and the largest Bc that is not negative."""
-    _, found = with_rivals(
-        (CHOSEN, *(step(name, value) for name, value in zip(("skew", "lag"), values, strict=True))), FOUND
-    )
-    assert [one.code for one in found] == ["model-dependent"] * 2
-    assert [one.is_error for one in found].count(True) == errors
-
-
-@pytest.mark.parametrize(("half", "errors"), [(1e-6, 0), (5e-5, 1)])
-def test_a_wide_interval_leaves_less_room_for_another_model(half: float, errors: int) -> None:
-    """0.3 mN m s/rad is 50 % more: from 25 % below to 50 % above is too much for one Bc."""
-    (_, bc), found = with_rivals((CHOSEN, step("lugre", 3e-4)), (FOUND[0], estimate("Bc", 2e-4, half)))
-    assert bc.half_width == pytest.approx(half if errors else 1e-4)
-    assert [one.is_error for one in found].count(True) == errors
-
-
-@pytest.mark.parametrize(
-    ("term", "gain", "is_error"), [("cubic", 11.0, True), ("cubic", 9.0, False), ("lugre", 11.0, False)]
-)
-def test_strong_evidence_for_a_term_that_is_not_included_is_an_error_unless_the_interval_holds_it(
-    term: str, gain: float, is_error: bool
-) -> None:
-    """No average over models holds a term without which the data are unlikely, as a cubic between two places."""
-    _, (diagnostic,) = with_rivals((CHOSEN, step(term, 2.1e-4, gain)), FOUND)
-    assert diagnostic.is_error == is_error
-    assert ("there is strong evidence for" in diagnostic.message) == (gain > 10.0)
-
-
-def test_a_term_that_moves_nothing_or_has_strong_evidence_against_it_is_not() -> None:
-    steps = (CHOSEN, step("skew", 2.005e-4), step("slack", 3e-4, gain=-7.0))
-    assert with_rivals(steps, FOUND) == (FOUND, [])
-
-
-def test_a_term_beside_a_parameter_of_zero_is_named_with_its_value() -> None:
-    found = (
-        FOUND[0],
-        Estimate("Bc", "N*m*s/rad", 0.0, (0.0, 1e-6), Repeatability(0.0, 0.0, 0.0), False, "low", (0.0, 1.0)),
-    )
-    _, (diagnostic,) = with_rivals((CHOSEN, step("skew", 2.1e-4)), found)
-    assert "Bc would be 0.00021 N m s/rad, which is outside its interval" in diagnostic.message
 
 
 def sine(channels: dict[str, Array], frequency: float) -> None:
@@ -402,12 +334,12 @@ def test_an_inertia_that_may_be_a_filter_of_the_angle_leaves_bc_open(
 
 @pytest.mark.study
 def test_an_angle_that_seems_late_may_have_passed_a_filter(make_recording: Maker) -> None:
-    """Behind a filter of 100 Hz, Bc is 3.48 mN m s/rad with an inertia, which may be there as well."""
+    """It is the angle that is behind, by a filter of 100 Hz: Bc stays that of the joint."""
     path = make_recording(samples=2500, change=behind(1.0 / (2.0 * np.pi * 100.0), 0.0))
     found = identify([path], None, SEARCH)
     assert found["skew"].value < 0.0
     assert found["Bc"].value == pytest.approx(3e-3, rel=0.06)
-    assert found["Bc"].ci95[1] > 3.4e-3
+    assert found["Bc"].ci95[0] < 3e-3 < found["Bc"].ci95[1]
     assert found["Kc"].value == pytest.approx(0.3, rel=2e-3)
 
 
@@ -692,24 +624,3 @@ def test_a_joint_that_still_relaxes_is_advised_a_branch_that_its_model_lacks(mod
 def test_a_joint_that_relaxes_beside_all_branches_is_not_advised_the_model_that_it_has() -> None:
     advice = effect_of("viscoelastic").remedy(["linear", "offset", "maxwell", "maxwell2"])
     assert advice.startswith("read K'(f) and B'(f)")
-
-
-@pytest.mark.parametrize(("before", "size"), [(1.003e-4, 0.1), (2e-4, 0.002)])
-def test_a_term_that_explains_less_than_a_misfit_leaves_is_a_part_of_its_size(before: float, size: float) -> None:
-    """Friction that falls with the rate, where it does not: Bc was 21 +- 4 % too high, and said to be by 0.4 %."""
-    steps = (
-        replace(CHOSEN, fitness=before),
-        step("skew", 3e-4, included=False),
-        replace(step("stribeck", 2.2e-4, included=True), fitness=1e-4),
-    )
-    found = (FOUND[0], estimate("Bc", 2.2e-4, 1e-6))
-    fit = replace(lack_of_fit(0.01), predicted=3e-5, Bc=0.002)
-    judged = beside_doubtful_terms(fit, steps, found)
-
-    assert judged is not None
-    assert judged.Bc == pytest.approx(size, rel=0.1)
-    assert judged.outside == (("Bc",) if size > 0.01 else ())
-    assert judged.Kc == fit.Kc
-    assert beside_doubtful_terms(None, steps, found) is None
-    described = replace(fit, respects=(), unexplained=0.0)
-    assert beside_doubtful_terms(described, steps, found) == described

@@ -158,7 +158,7 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
 def test_a_search_of_many_generations_says_first_how_long_it_will_take(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("hil.identification.fitting.forecast._LONG_SEARCH", 5_000)
+    monkeypatch.setattr("hil.signals.constants.LONG_SEARCH", 5_000)
     words = ["identify", str(make_recording()), "--model", "linear", "--preset", "paper", "--trials", "1", "--json"]
     run([*words, "--workers", "1", "--generations", "5000"])
     said = capfd.readouterr().err

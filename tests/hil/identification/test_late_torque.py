@@ -116,7 +116,7 @@ def test_a_late_reading_that_does_not_show_is_in_the_interval_of_bc(make_recordi
 def test_a_fast_motion_decides_on_a_late_reading_and_its_chance_costs_nothing(
     make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hil.identification.mixture.average.growing", lambda *_: [])  # its chance costs something
+    monkeypatch.setattr("hil.identification.mixture.average.hidden", lambda *_: [])  # their chance costs something
     found = identified(make_recording, np.ones(len(OMEGA), dtype=complex), damping=8e-3)
     assert found.model.name == "linear"
     named = identified(make_recording, np.ones(len(OMEGA), dtype=complex), "linear", damping=8e-3)["Bc"]
