@@ -113,13 +113,6 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
     return cast("Callable[P, R]", dispatcher)
 
 
-def is_compiled(function: Callable[P, R]) -> bool:
-    """Return whether the cache folder contains machine code of a compiled function; False if nothing is cached."""
-    plain = cast("Any", function).py_func
-    folder = cache_folder(_package(Path(plain.__code__.co_filename)))
-    return folder is not None and any(folder.rglob(f"*.{plain.__name__}-*.nbi"))
-
-
 def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: Any) -> Any:
     """Compile or load a function as numba does, while no other process compiles the same function."""
     with global_compiler_lock:  # first: a thread that had the file and waited for this one would stop both

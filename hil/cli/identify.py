@@ -85,8 +85,6 @@ def identify(
     list_models: options.ListModels = False,
 ) -> None:
     """Find the stiffness Kc and damping Bc of the coupling in one or more recordings."""
-    from hil.first_run import compiled_ahead
-
     del list_models  # is done before anything else is asked for
     required, expected = _required(require), [expectation(text) for text in expect or ()]
     common: dict[str, Any] = {"preset": preset, "trials": trials, "seed": seed, "workers": workers}
@@ -100,11 +98,10 @@ def identify(
         return
     options.check_report(report, recordings, force=force)
     _check_others(checkpoint, plot, recordings)
-    with compiled_ahead():  # before what takes most of the start: the modules of the identification
-        from hil.api.analysis import identify as identify_recordings
+    from hil.api.analysis import identify as identify_recordings
 
-        with _failure_published(report, force=force, as_json=as_json), progress() as show:
-            found = identify_recordings(recordings, model, progress=show, **(common | alone))
+    with _failure_published(report, force=force, as_json=as_json), progress() as show:
+        found = identify_recordings(recordings, model, progress=show, **(common | alone))
     publish(found, report, plot, as_json=as_json, verbose=verbose, force=force)
     _end(found, checkpoint, required, expected)
 

@@ -15,7 +15,6 @@ from threadpoolctl import ThreadpoolController
 from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter, positive_among
 from hil.diagnostics import Diagnostic
-from hil.first_run import compiled_ahead
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.described import Described, tested, without_model
 from hil.identification.candidates.held import most_taken_off
@@ -60,7 +59,7 @@ def identify(
     Ctrl-C during the search ends only the search: the result so far is returned, with its trials marked as interrupted.
     Raises WrongUse, and Untrustworthy if the recordings cannot be used at all; lesser doubts are in the diagnostics.
     """
-    with compiled_ahead(), open_sources(given) as sources:
+    with open_sources(given) as sources:
         return identify_sources(sources, model, search, progress)
 
 

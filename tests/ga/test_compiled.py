@@ -17,7 +17,7 @@ from typing import Any
 import numba
 import pytest
 
-from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled, is_compiled
+from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
@@ -102,18 +102,6 @@ def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(
     with announced_to(heard.append):
         compiled(lambda x: x + 1.0)(2.0)
     assert heard == [0, 1]
-
-
-def test_a_function_is_known_to_be_compiled_once_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ga.compiled.cache_folder", lambda _package: tmp_path)
-
-    def doubled(x: float) -> float:
-        return 2.0 * x
-
-    function = compiled(doubled)
-    assert not is_compiled(function)
-    function(1.0)
-    assert is_compiled(function)
 
 
 def test_a_changed_function_of_another_module_is_compiled_again_and_a_former_one_found(
