@@ -287,7 +287,7 @@ def _readings(unit: str) -> Iterator[str]:
 
 
 def _plain(unit: str) -> str:
-    """Return the text of a unit in ASCII, with / for "per" and ^(-1) for a power."""
+    """Return the text of a unit in ASCII, with / for "per" and a power written as in s^(-1)."""
     text = unit.strip().translate(_SIGNS)
     text = _OTHER_NAMES.get(text, text)
     text = re.sub(r"(?<![A-Za-z])per(?![A-Za-z])", "/", text)

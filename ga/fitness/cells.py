@@ -1,7 +1,8 @@
-"""The cells of the sub-linear engine: the coordinates in which they are cubes, and their memory.
+"""The cells of gene space that the sub-linear search divides: the coordinates in which they are cubes, and where they
+are stored.
 
-The cells are cubes of v = forward . (genes - origin). In these coordinates the columns are orthogonal, so that no
-direction needs finer cells than another. `ga.fitness.splitting` grows the cells.
+The cells are cubes of v = forward . (genes - origin). In these coordinates the model's columns are orthogonal, so that
+no direction needs finer cells than another. `ga.fitness.splitting` grows the cells.
 """
 
 from __future__ import annotations

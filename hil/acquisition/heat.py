@@ -66,7 +66,8 @@ class HeatMemory:
                 raise ValueError("it has impossible numbers")
         except (ValueError, KeyError, TypeError, OverflowError, RecursionError, WrongUse) as error:
             raise WrongUse(
-                f"{self._memory.path} holds no temperature of a winding ({error}): remove it once the motor is cold"
+                f"the winding's temperature in {self._memory.path} is unreadable ({error}): let the motor cool down, "
+                "then delete the file"
             ) from None
         return model.after(state, 0.0, max(0.0, rested))
 

@@ -40,7 +40,7 @@ class AtJoint(NamedTuple):
 
 
 class Limit(Protocol):
-    """The interface of one limit of a run. name: the limited quantity, for messages."""
+    """What every limit of a run provides. name: the limited quantity, for messages."""
 
     name: str
 

@@ -119,7 +119,7 @@ def _print_commissioning(checks: CheckList, report: Report | None) -> None:
 
 
 def _summary(ports: list[Port], interfaces: list[Port]) -> str:
-    """Return the answer in one line: the ports and interfaces found, and whether they have a problem."""
+    """Return one line: the ports and interfaces found, and whether they have a problem."""
     wrong = sum(bool(port.problem) for port in (*ports, *interfaces))
     seen = f"{len(ports)} serial port(s), {len(interfaces)} CAN interface(s)"
     if wrong:

@@ -66,7 +66,7 @@ def note(text: str) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line to standard error, apart from the command's data. Never raises: a message must not cost data."""
+    """Print a line to standard error, so that it does not mix with the command's data. Never raises an error."""
     with suppress(Exception):
         _written("\n".join(map(_cut, text.split("\n"))), sys.stderr)
 

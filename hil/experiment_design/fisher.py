@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ga.model.coupling import CouplingModel, parse
 from ga.model.effects.friction import COULOMB
 from ga.model.terms import TERMS as TABLE
-from ga.model.trajectory import Motion as Signals
-from hil.experiment_design.response import Joint, Motion
+from ga.model.trajectory import Motion
+from hil.experiment_design.response import Joint, Response
 from hil.signals.rate.savitzky_golay import kernel
 from hil.signals.rate.spectrum import excited_band
 from hil.signals.rate.windows import hides_in_rate, narrowed, windows
@@ -89,7 +89,7 @@ zero.
 """
 
 
-def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array:
+def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Response) -> Array:
     """Return the derivative of the torque (n, p + q) with respect to each parameter of the terms; the nonlinear
     parameters are last.
 
@@ -98,8 +98,8 @@ def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Motion) -> Array
     speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
     model = replace(_model(terms), origin=float(motion.time[0]), slowest=0.0, smoothing=speed)
     still = np.zeros_like(motion.time)
-    seen = Signals(motion.time, motion.dtheta, motion.dtheta_dot, motion.acceleration, still)
-    changing = Signals(motion.time, motion.dtheta_dot, motion.acceleration, still, still)
+    seen = Motion(motion.time, motion.dtheta, motion.dtheta_dot, motion.acceleration, still)
+    changing = Motion(motion.time, motion.dtheta_dot, motion.acceleration, still, still)
     absent = np.zeros(len(model.nonlinear))
     genes = np.array([joint.stiffness, joint.damping, *np.zeros(len(model.linear) - 2)])
     columns = (model.columns(seen, absent), model.jacobian(seen, absent, genes, changing=changing))
@@ -110,7 +110,7 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
     return parse("+".join(terms))
 
 
-def _ageing(joint: Joint, motion: Motion) -> Array:
+def _ageing(joint: Joint, motion: Response) -> Array:
     """Return the derivative of the torque reading (n,) with respect to its delay, N m/s."""
     return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
 
@@ -129,7 +129,7 @@ def covariance(columns: Array) -> Array:
     return np.asarray(inverse / np.outer(scale, scale))
 
 
-def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Readings) -> tuple[Prediction, ...]:
+def predict(terms: tuple[str, ...], joint: Joint, motion: Response, readings: Readings) -> tuple[Prediction, ...]:
     """Return the predicted error of each parameter of the terms, for this motion and these sensors."""
     columns = sensitivities(terms, joint, motion)
     window = _Window(motion, readings.angle_lsb)
@@ -153,7 +153,7 @@ def predict(terms: tuple[str, ...], joint: Joint, motion: Motion, readings: Read
     )
 
 
-def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Motion) -> float:
+def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Response) -> float:
     """Return the error of Bc, N m s/rad, for each N m of dry friction that the model omits; 0 if the model has
     friction.
     """
@@ -171,7 +171,7 @@ class _Window:
     impulse responses.
     """
 
-    def __init__(self, motion: Motion, angle_lsb: float) -> None:
+    def __init__(self, motion: Response, angle_lsb: float) -> None:
         seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
         self.step = float(motion.time[1] - motion.time[0])
         slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
@@ -274,7 +274,7 @@ def _density_at_zero(variance: float, lsb: float) -> float:
     return math.erf(lsb / (2.0 * math.sqrt(2.0) * gaussian)) / lsb if gaussian > 0.0 else 1.0 / lsb
 
 
-def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> Motion:
+def _seen(joint: Joint, motion: Response, readings: Readings, window: _Window) -> Response:
     """Return the motion that `hil identify` would compute from readings without noise: with the delay of the torque and
     with filtered derivatives.
     """
@@ -285,7 +285,7 @@ def _seen(joint: Joint, motion: Motion, readings: Readings, window: _Window) -> 
         torque = aged - joint.inertia * acceleration - joint.friction * rate
     else:
         torque = motion.torque + readings.skew * _ageing(joint, motion)
-    return Motion(motion.time, motion.dtheta, rate, acceleration, torque, motion.drive)
+    return Response(motion.time, motion.dtheta, rate, acceleration, torque, motion.drive)
 
 
 def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:

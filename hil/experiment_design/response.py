@@ -50,7 +50,7 @@ class Joint:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Response:
     """The predicted motion at the ticks, as arrays (n,).
 
     time: s. dtheta: deflection, rad, with its rate dtheta_dot, rad/s, and acceleration, rad/s^2. torque: in the
@@ -77,7 +77,7 @@ class Peaks(NamedTuple):
     velocity: float
 
 
-def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Motion, Peaks]:
+def respond(joint: Joint, profile: Profile, rate: float) -> tuple[Response, Peaks]:
     """Return the motion at `rate` Hz, and the peaks of the motion, also between the ticks."""
     return _responder(profile, rate)(joint)
 
@@ -88,7 +88,7 @@ def peaks(joints: list[Joint], profile: Profile, rate: float) -> list[Peaks]:
     return [answer(joint)[1] for joint in joints]
 
 
-def _responder(profile: Profile, rate: float) -> Callable[[Joint], tuple[Motion, Peaks]]:
+def _responder(profile: Profile, rate: float) -> Callable[[Joint], tuple[Response, Peaks]]:
     if profile.mode is Quantity.TORQUE:
         return partial(_driven, command=set_points(profile, rate), rate=rate)
     fine = max(1, math.ceil(_POINTS * profile.band[1] / rate))
@@ -104,7 +104,7 @@ def set_points(profile: Profile, rate: float) -> Array:
     return profile.at(np.arange(round(profile.duration * rate) + 1) / rate)
 
 
-def _driven(joint: Joint, command: Array, rate: float) -> tuple[Motion, Peaks]:
+def _driven(joint: Joint, command: Array, rate: float) -> tuple[Response, Peaks]:
     steps = min(_MOST, max(_FEWEST, math.ceil(_POINTS * min(joint.resonance, _MOST * rate) / rate)))
     dtheta, velocity = _oscillator(joint, np.repeat(command[:-1], steps), 1.0 / (rate * steps))
     torque = joint.stiffness * dtheta + joint.damping * velocity
@@ -114,7 +114,7 @@ def _driven(joint: Joint, command: Array, rate: float) -> tuple[Motion, Peaks]:
         acceleration = (0.5 * (before + command) - carried - joint.friction * speed) / joint.inertia
     else:
         acceleration = np.gradient(speed, 1.0 / rate)
-    motion = Motion(np.arange(command.size) / rate, angle, speed, acceleration, carried, before)
+    motion = Response(np.arange(command.size) / rate, angle, speed, acceleration, carried, before)
     return motion, _peaks(command, torque, dtheta, velocity)
 
 
@@ -149,7 +149,7 @@ def _oscillator(joint: Joint, command: Array, step: float) -> tuple[Array, Array
     return found[0], found[1]
 
 
-def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, rate: float) -> tuple[Motion, Peaks]:
+def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, rate: float) -> tuple[Response, Peaks]:
     """Return motion and peaks for a prescribed deflection. course: deflection, rate and acceleration at `steps` points
     a tick.
     """
@@ -157,7 +157,7 @@ def _prescribed(joint: Joint, course: tuple[Array, Array, Array], steps: int, ra
     torque = joint.stiffness * dtheta + joint.damping * velocity
     drive = torque + joint.inertia * acceleration + joint.friction * velocity  # equation 1
     ticks = [values[::steps] for values in (*course, torque, drive)]
-    return Motion(np.arange(len(ticks[0])) / rate, *ticks), _peaks(drive, torque, dtheta, velocity)
+    return Response(np.arange(len(ticks[0])) / rate, *ticks), _peaks(drive, torque, dtheta, velocity)
 
 
 def _peaks(*values: Array) -> Peaks:

@@ -100,7 +100,9 @@ def branches_of(test: Torsion) -> list[Branch]:
 
 
 def reversals(guide: Array) -> list[int]:
-    """Return the indices at which the guide (n,) turns back, between the first and the last index."""
+    """Return the first index of a quantity that turns back and forth, `guide` (n,), the indices at which it turns, and
+    the last index.
+    """
     noise = 1.4826 * float(np.median(np.abs(np.diff(guide, 2)))) / 6.0**0.5 if len(guide) > _POINTS else 0.0
     threshold = max(_REVERSAL * float(np.ptp(guide)), min(_NOISES * noise, 0.5 * float(np.ptp(guide))))
     found, extreme, rises = [0], 0, 0

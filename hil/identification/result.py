@@ -252,8 +252,8 @@ def interval(value: float, half: float, *, positive: bool) -> tuple[float, float
 
 
 def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
-    """Return the standard error of an estimate, in its unit, from its 95 % interval without the uncertainty of the
-    torque's scale.
+    """Return the standard error of an estimate, in its unit: from its 95 % interval, less the part that the scale of
+    the torque causes.
 
     uncertainty: the relative uncertainty of the torque's scale.
     """

@@ -190,7 +190,10 @@ def _of(name: str, function: Callable[..., Any]) -> UserModel:
         raise WrongUse(f"--model {name}: an annotation of it cannot be read ({error})") from None
     keywords = [p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY]
     if not keywords:
-        raise WrongUse(f"--model {name}: no parameters; name them after a * as Annotated[float, unit, low, high]")
+        raise WrongUse(
+            f"--model {name}: no parameters. Put them behind a * in the function's arguments, each with its unit and "
+            "bounds: *, k: Annotated[float, unit, low, high]"
+        )
     parameters, bounds = [], []
     for keyword in keywords:
         unit, low, high = _annotation(name, keyword, hints.get(keyword))

@@ -22,8 +22,8 @@ class Shape(NamedTuple):
     """The sizes of a ring and of the file that its rows are written to.
 
     rows, row: number of rows that the ring has room for, and bytes of a row. events, event: number of events, and bytes
-    of an event. rows_at, events_at: byte offsets of the first row and of the first event in the file. The last event is
-    the one that the writing process adds if the recorder dies.
+    of an event. rows_at, events_at: byte offsets of the first row and of the first event in the file. The last
+    place for an event is kept for the writing process, which fills it if the recorder dies.
     """
 
     rows: int

@@ -124,9 +124,9 @@ class Stand:
         return parameters
 
     def simulated(self) -> SimParameters:
-        """Return the parameters of [sim]. Motor and gear are taken from [stand] if [sim.motor] does not set them.
+        """Return the parameters of [sim]. What [sim.motor] does not set is taken from [stand].
 
-        The gear ratio of [stand] is taken even if it is the default of 1, because the recorder uses that ratio.
+        Inertia and damping are taken if the file states them; the gear ratio always, because the recorder uses it.
         """
         stated = self.stand.model_dump(include=self.stand.model_fields_set)
         return self.sim.resolved(

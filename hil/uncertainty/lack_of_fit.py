@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
-    """The fit that is tested, SI.
+class Residuals:
+    """The residuals of the fit that is tested, SI, and its columns.
 
     residuals (n,): N m. columns (n, p): the derivative of the torque with respect to each parameter. coupling: the
     indices of Kc and Bc, None for a model without them. values: Kc and Bc. half_width: half their intervals. skew: the
@@ -48,7 +48,7 @@ class Fitted:
     included: frozenset[str] = frozenset()
 
 
-def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
+def lack_of_fit(recorded: Recorded, fitted: Residuals) -> LackOfFit | None:
     """Test a fit for lack of fit. Return None if the recording is too short, or if the residuals are only rounding.
 
     None also if the model describes almost no sample. Raises ValueError if the arrays differ in length.
@@ -65,7 +65,7 @@ def lack_of_fit(recorded: Recorded, fitted: Fitted) -> LackOfFit | None:
     return _Tests(*_fewer(recorded, fitted)).result()
 
 
-def predicted(recorded: Recorded, *fits: Fitted) -> Array:
+def predicted(recorded: Recorded, *fits: Residuals) -> Array:
     """Return the predictable part of the residuals of each of k fits, N m r.m.s. (k,); all use the regressors of the
     first.
     """
@@ -77,7 +77,7 @@ def predicted(recorded: Recorded, *fits: Fitted) -> Array:
 class _Tests:
     """A recording, the scores of the residuals of its fit, and the lack-of-fit tests on these scores."""
 
-    def __init__(self, recorded: Recorded, fitted: Fitted) -> None:
+    def __init__(self, recorded: Recorded, fitted: Residuals) -> None:
         self._recorded, self._fitted = recorded, fitted
         kept = np.ones(len(recorded), dtype=bool) if fitted.kept is None else fitted.kept
         self._kept = kept[:, None]
@@ -294,7 +294,7 @@ class _Tests:
         return float(self._tested.scores @ then) / size if size > 0.0 else 0.0
 
 
-def _fewer(recorded: Recorded, fitted: Fitted) -> tuple[Recorded, Fitted]:
+def _fewer(recorded: Recorded, fitted: Residuals) -> tuple[Recorded, Residuals]:
     """Return a recording and its fit with at most about `TESTED` samples: every n-th sample, or pieces spread over the
     recording.
     """
@@ -335,7 +335,7 @@ def _apart(coupling: Array) -> Array:
     )
 
 
-def _blanked(fitted: Fitted) -> Fitted:
+def _blanked(fitted: Residuals) -> Residuals:
     """Return the fit with zeros at the samples that the model does not describe, so that these samples add nothing to
     sums.
     """

@@ -64,7 +64,7 @@ def average(
     value of each parameter and its standard deviation, infinite if nothing is known; the expected value has the more
     weight the less the data determine the parameter (ridge regression). bounded: parameters of every model that are set
     to zero if their estimate is negative, with the variance that they have without that bound. seldom: doubtful
-    parameters whose cost also applies to the interval.
+    parameters whose own cost, and not Akaike's, weighs the models for the interval.
     """
     variance = np.diag(covariance)  # negative by rounding: nearly dependent columns
     if not (np.isfinite(variance).all() and (variance > 0.0).all()):

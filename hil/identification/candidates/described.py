@@ -23,7 +23,7 @@ from hil.uncertainty.deflection.instruments import followed, is_instrument
 from hil.uncertainty.deflection.simulation import noisier
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 from hil.uncertainty.effects import EFFECTS, Recorded
-from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
+from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
 from hil.uncertainty.misfit import Lacking, LackOfFit
 
 Array = NDArray[np.float64]
@@ -191,7 +191,7 @@ def _added(described: Described, before: Array, noisy: Motion) -> float:
     return float(larger**2 - own**2)
 
 
-def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Fitted]:
+def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Residuals]:
     """Return recording and fit for the lack-of-fit test with another motion.
 
     of_motion (n, p): the columns of that motion; None: the columns of the motion that the model was fitted to.
@@ -214,7 +214,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     columns = np.concatenate([columns, *_of_jumps(described, motion, residuals, columns)], axis=1)
     kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
     included = frozenset(one.code for one in EFFECTS if one.is_in(names))
-    return recorded, Fitted(residuals, columns, coupling, values, half_width, skew, kept, included)
+    return recorded, Residuals(residuals, columns, coupling, values, half_width, skew, kept, included)
 
 
 def _without_errors(signals: Signals) -> Motion:

@@ -43,8 +43,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Averaged:
-    """An estimate averaged over models, SI: its value, and the half width of its 95 % interval for noise and choice of
-    model.
+    """An estimate averaged over models, SI: its value, and the half width of its 95 % interval, which covers noise and
+    the choice of model.
     """
 
     value: float
@@ -194,7 +194,7 @@ def _about(value: float, mean: Averaged) -> Averaged:
 def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:
     """Return Kc and Bc averaged over all models contained in the largest one; {} if no such average exists.
 
-    doubtful: the terms for which the data do not decide, with the cost of each.
+    doubtful: the terms that the model may lack, each with what the score must rise by for it to be likely.
     """
     names, sampling = largest.names, largest.sampling
     costs = largest.costs(doubtful)

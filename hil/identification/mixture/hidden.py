@@ -44,7 +44,7 @@ from hil.uncertainty.model_average import without_positive
 Array = NDArray[np.float64]
 
 
-class Effect(NamedTuple):
+class Hidden(NamedTuple):
     """An effect of which a joint or a drive may have a little.
 
     column (n,): its torque, N m, for a factor of one. size: the standard deviation of the factor, which is positive.
@@ -57,7 +57,7 @@ class Effect(NamedTuple):
     among: int = 1
 
 
-def hidden(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, Effect]]:
+def hidden(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, Hidden]]:
     """Yield each hidden effect with the fit of the largest model beside it, its factor the last parameter."""
     effects = (yielding(largest, selected) for yielding in (_falling, _growing, _relaxing, _held))
     for effect in chain.from_iterable(effects):
@@ -92,7 +92,7 @@ def integrated(larger: Largest, size: float, likely: Array) -> tuple[Largest, fl
     return found, criterion / _blurred(larger)
 
 
-def _falling(largest: Largest, selected: Selected) -> Iterator[Effect]:
+def _falling(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield friction that falls over each of a few rates, if the selected model has friction that does not fall."""
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
     rubs = [name for name in values if name in PARAMETERS and PARAMETERS[name].friction]  # not those of nuisances
@@ -109,18 +109,18 @@ def _falling(largest: Largest, selected: Selected) -> Iterator[Effect]:
         if builds_up:
             more = seen.bristles(reach, c.SMALL_RISE, over) - seen.presliding(reach)
             column = size_of(values, "presliding friction") / c.SMALL_RISE * more[rows]
-        yield Effect(column, c.RISE, among=len(c.FALLS_OVER))
+        yield Hidden(column, c.RISE, among=len(c.FALLS_OVER))
 
 
-def _growing(largest: Largest, selected: Selected) -> Iterator[Effect]:
+def _growing(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield damping that grows with the rate, if the model has none."""
     (grows,) = of_role("damping")
     usual, damping = felt(selected.data.motion.dtheta_dot), float(largest.values[largest.names.index("Bc")])
     if is_addable(grows, selected.model.name.split("+")) and damping > 0.0 and usual > 0.0:
-        yield Effect(_column(grows, selected, {}), c.GROWTH * damping / usual, c.ONE_IN_TEN)
+        yield Hidden(_column(grows, selected, {}), c.GROWTH * damping / usual, c.ONE_IN_TEN)
 
 
-def _relaxing(largest: Largest, selected: Selected) -> Iterator[Effect]:
+def _relaxing(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield a branch of each of a few relaxation times, up to the shortest period of the motion, if the model has a
     skew: in one of ten joints with a skew, such a branch causes it.
     """
@@ -131,16 +131,16 @@ def _relaxing(largest: Largest, selected: Selected) -> Iterator[Effect]:
     (name,) = (one.name for one in TERMS[branch].parameters if one.nonlinear)
     for time in np.geomspace(SHORTEST_RELAXATION, 1.0, c.RELAXES) / selected.data.band[1]:
         column = _column(branch, selected, {name: float(time)})
-        yield Effect(column, c.STIFFEST * stiffness, 2.0 * c.ONE_IN_TEN, c.RELAXES)
+        yield Hidden(column, c.STIFFEST * stiffness, 2.0 * c.ONE_IN_TEN, c.RELAXES)
 
 
-def _held(largest: Largest, selected: Selected) -> Iterator[Effect]:
+def _held(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield what a drive that holds its set-points takes off the torque."""
     values = dict(zip(largest.names, largest.values.tolist(), strict=True))
     motion = selected.data.motion
     if not of_kind(values, "moment of inertia") and values["Bc"] > 0.0:
         acts = np.abs(largest.columns[:, largest.names.index("Bc")]) > 0.5 * np.abs(motion.dtheta_dot)  # not in a gap
-        yield Effect(-damping_at(motion.dtheta_dot, values) * taken_off(motion) * acts, 1.0, c.ONE_IN_TEN)
+        yield Hidden(-damping_at(motion.dtheta_dot, values) * taken_off(motion) * acts, 1.0, c.ONE_IN_TEN)
 
 
 def _column(term: str, selected: Selected, nonlinear: dict[str, float]) -> Array:

@@ -36,7 +36,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         found.append(
             Diagnostic(
                 "implausible",
-                f"model {evidence.model.name} leaves {evidence.holdout.nrmse:.0%} of the torque in data that it was "
+                f"model {evidence.model.name} misses {evidence.holdout.nrmse:.0%} of the torque in data that it was "
                 "not fitted to. Torque and deflection hardly depend on each other, so Kc and Bc mean nothing. Check "
                 "units and signs, and that both readings are of the same joint",
                 is_error=True,

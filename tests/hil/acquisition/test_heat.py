@@ -215,7 +215,7 @@ def test_each_drive_has_a_memory_of_its_own_and_the_simulated_one_none(state_fol
 def test_a_memory_that_cannot_be_read_is_not_taken_for_a_cold_motor(state_folder: Path, text: str) -> None:
     HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
     next(state_folder.iterdir()).write_text(text)
-    with pytest.raises(WrongUse, match="remove it once the motor is cold"):
+    with pytest.raises(WrongUse, match="let the motor cool down, then delete the file"):
         HeatMemory(INFO).load(_model(), NOW)
 
 

@@ -13,7 +13,7 @@ from drivers.servo import Quantity
 from ga.lad.exact import least_absolute_deviations
 from hil.acquisition import excitation
 from hil.experiment_design.fisher import Prediction, Readings, covariance, mistaken_friction, predict
-from hil.experiment_design.response import Joint, Motion, respond
+from hil.experiment_design.response import Joint, Response, respond
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.spectrum import excited_band
 from hil.signals.rate.windows import windows
@@ -25,7 +25,7 @@ JOINT = Joint(stiffness=0.02, damping=2e-4, inertia=3e-6, friction=1e-6)
 CELL = Readings(torque_noise=2e-4, torque_lsb=0.0, angle_lsb=1e-5, skew=0.0, motor_side=False)
 
 
-def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration: float = 4.0) -> Motion:
+def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration: float = 4.0) -> Response:
     band = (0.5, 10.0) if kind == "chirp" else (2.0, 2.0)
     amplitude = 0.3 if quantity is Quantity.POSITION else 0.005
     profile = excitation.make(
@@ -34,7 +34,7 @@ def moved(kind: str = "chirp", quantity: Quantity = Quantity.POSITION, duration:
     return respond(JOINT, profile, RATE)[0]
 
 
-def predicted(terms: tuple[str, ...], motion: Motion, readings: Readings) -> dict[str, Prediction]:
+def predicted(terms: tuple[str, ...], motion: Response, readings: Readings) -> dict[str, Prediction]:
     return {parameter.name: parameter for parameter in predict(terms, JOINT, motion, readings)}
 
 

@@ -14,7 +14,7 @@ from hil.identification.candidates.selection import select
 from hil.signals.defects import Defects
 from hil.signals.prepare import Signals
 from hil.uncertainty.effects import EFFECTS, Effect, Recorded, reading_noise
-from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit
+from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def test_the_mark_of_a_term_is_the_first_in_what_a_model_without_it_leaves(term:
     fitted = np.linalg.lstsq(columns, torque, rcond=None)[0]
     residuals, half = torque - columns @ fitted, (1e-3, 1e-5)
     recorded = Recorded(MOTION.time, torque, MOTION.dtheta, MOTION.dtheta_dot)
-    found = lack_of_fit(recorded, Fitted(residuals, columns, (0, 1), (fitted[0], fitted[1]), half))
+    found = lack_of_fit(recorded, Residuals(residuals, columns, (0, 1), (fitted[0], fitted[1]), half))
     assert found is not None
     assert found.misfit
     assert term.mark is not None

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hil.uncertainty.effects import Recorded
-from hil.uncertainty.lack_of_fit import Fitted, lack_of_fit, predicted
+from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
 from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ def judged(torque: Array, columns: Array = LINEAR) -> LackOfFit:
     values = np.linalg.lstsq(columns, torque, rcond=None)[0]
     residuals = torque - columns @ values
     half = 1.96 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * np.var(residuals))
-    fitted = Fitted(residuals, columns, (0, 1), (values[0], values[1]), (half[0], half[1]))
+    fitted = Residuals(residuals, columns, (0, 1), (values[0], values[1]), (half[0], half[1]))
     found = lack_of_fit(Recorded(TIME, torque, X, V), fitted)
     assert found is not None
     return found
@@ -200,7 +200,7 @@ def test_roundings_that_repeat_excuse_such_a_misfit_and_its_size_is_in_the_inter
 def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these() -> None:
     errors = np.random.default_rng(3).standard_normal((2, len(TIME))) * 1e-3
     recorded = Recorded(TIME, PLAIN, X + errors.sum(axis=0), V)
-    fits = [Fitted(-KC * one, LINEAR, (0, 1), (KC, BC), (1e-3, 1e-5)) for one in (errors.sum(axis=0), errors[0])]
+    fits = [Residuals(-KC * one, LINEAR, (0, 1), (KC, BC), (1e-3, 1e-5)) for one in (errors.sum(axis=0), errors[0])]
 
     both, first = predicted(recorded, *fits) ** 2 / (KC**2 * 1e-6)
 
@@ -256,7 +256,7 @@ def test_outliers_do_not_hide_a_misfit() -> None:
 def test_a_misfit_in_less_than_half_of_the_samples_shows_where_all_others_fit_exactly() -> None:
     """The median of the residuals' sizes is zero then, and says nothing of how large the others are."""
     beyond = 0.05 * np.where(np.quantile(X, 0.7) < X, np.sin(40.0 * X), 0.0)
-    found = lack_of_fit(Recorded(TIME, PLAIN + beyond, X, V), Fitted(beyond, LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
+    found = lack_of_fit(Recorded(TIME, PLAIN + beyond, X, V), Residuals(beyond, LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
 
     assert found is not None
     assert found.misfit
@@ -266,7 +266,7 @@ def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     torque = WRONG["cubic"] + noise(1)
     columns = np.stack([X + 6.0, V, np.ones_like(X)], axis=1)
     values = np.linalg.lstsq(columns, torque, rcond=None)[0]
-    fitted = Fitted(torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
+    fitted = Residuals(torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
 
     moved_away = lack_of_fit(Recorded(TIME, torque, X + 6.0, V), fitted)
 
@@ -283,7 +283,7 @@ def test_a_misfit_of_a_damping_of_zero_is_held_against_its_interval(half: float,
     columns = LINEAR[:, [0, 2]]
     residuals = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
 
-    found = lack_of_fit(Recorded(TIME, torque, X, V), Fitted(residuals, LINEAR, (0, 1), (KC, 0.0), (1.0, half)))
+    found = lack_of_fit(Recorded(TIME, torque, X, V), Residuals(residuals, LINEAR, (0, 1), (KC, 0.0), (1.0, half)))
 
     assert found is not None
     assert found.outside == (("Bc",) if outside else ())
@@ -322,7 +322,7 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     torque = WRONG["quadratic-damping"] + noise(1)
     residuals = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
 
-    found = lack_of_fit(Recorded(TIME, torque, X, V), Fitted(residuals, LINEAR, None, (np.nan, np.nan), (0.0, 0.0)))
+    found = lack_of_fit(Recorded(TIME, torque, X, V), Residuals(residuals, LINEAR, None, (np.nan, np.nan), (0.0, 0.0)))
 
     assert found is not None
     assert found.misfit
@@ -342,7 +342,7 @@ def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
     values = np.linalg.lstsq(columns, joined.torque, rcond=None)[0]
 
     found = lack_of_fit(
-        joined, Fitted(joined.torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
+        joined, Residuals(joined.torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
     )
 
     assert found is not None
@@ -354,22 +354,22 @@ def test_a_recording_that_is_too_short_is_not_judged() -> None:
     few = slice(0, 200)
     recorded = Recorded(TIME[few], PLAIN[few], X[few], V[few])
 
-    assert lack_of_fit(recorded, Fitted(noise(1)[few], LINEAR[few], (0, 1), (KC, BC), (1e-4, 1e-5))) is None
+    assert lack_of_fit(recorded, Residuals(noise(1)[few], LINEAR[few], (0, 1), (KC, BC), (1e-4, 1e-5))) is None
 
 
 def test_a_fit_that_leaves_nothing_is_not_judged() -> None:
     recorded = Recorded(TIME, PLAIN, X, V)
 
-    assert lack_of_fit(recorded, Fitted(np.zeros_like(X), LINEAR, (0, 1), (KC, BC), (0.0, 0.0))) is None
+    assert lack_of_fit(recorded, Residuals(np.zeros_like(X), LINEAR, (0, 1), (KC, BC), (0.0, 0.0))) is None
 
 
 @pytest.mark.parametrize("described", [1, 3])
 def test_a_fit_to_no_more_samples_than_it_has_parameters_is_not_judged(described: int) -> None:
     kept = np.isin(np.arange(len(X)), np.linspace(100, 7000, described).astype(int))
     recorded = Recorded(TIME, PLAIN + noise(1), X, V)
-    assert lack_of_fit(recorded, Fitted(noise(1), LINEAR, (0, 1), (KC, BC), (1e-4, 1e-5), kept=kept)) is None
+    assert lack_of_fit(recorded, Residuals(noise(1), LINEAR, (0, 1), (KC, BC), (1e-4, 1e-5), kept=kept)) is None
 
 
 def test_arrays_of_unequal_length_are_refused() -> None:
     with pytest.raises(ValueError, match="5000 samples, 10 residuals"):
-        lack_of_fit(Recorded(TIME, PLAIN, X, V), Fitted(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
+        lack_of_fit(Recorded(TIME, PLAIN, X, V), Residuals(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
