@@ -42,3 +42,23 @@ def test_who_stops_early_leaves_no_thread() -> None:
     for item in ahead(range(10)):
         if item == 3:
             break
+
+
+def test_an_interrupt_does_not_wait_for_an_item_that_waits_itself() -> None:
+    computing, enough = threading.Event(), threading.Event()
+
+    def items() -> Iterator[int]:
+        yield 1
+        computing.set()
+        enough.wait(60.0)
+        yield 2
+
+    before, found = set(threading.enumerate()), ahead(items())
+    assert next(found) == 1
+    assert computing.wait(10.0)
+    with pytest.raises(KeyboardInterrupt):
+        found.throw(KeyboardInterrupt())
+    assert not enough.is_set()
+    enough.set()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(10.0)
