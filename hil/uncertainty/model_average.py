@@ -28,9 +28,6 @@ Array = NDArray[np.float64]
 AKAIKE: Final = 2.0
 """The cost of a parameter in Akaike's criterion if most benches have the parameter."""
 
-SELDOM: Final = 2.0 * math.log(10.0)
-"""The additional cost of a parameter that only one joint in ten has."""
-
 
 @dataclass(frozen=True, eq=False)
 class Average:

@@ -78,11 +78,7 @@ class Criterion:
         """Return twice the log likelihood of the model `other` less that of the model `one`, for independent
         residuals.
         """
-        return self.gained(one.fit.fitness - other.fit.fitness)
-
-    def gained(self, better: float) -> float:
-        """Return twice the difference of log likelihood for a fitness that is better by `better`, N m."""
-        return 4.0 * self.density * len(self.signs) * better
+        return 4.0 * self.density * len(self.signs) * (one.fit.fitness - other.fit.fitness)
 
     def correlation(self, fitted: Candidate, term: str) -> float:
         """Return the factor by which the correlation of the residuals raises the variance of the term's parameters."""

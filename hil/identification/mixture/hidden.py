@@ -12,7 +12,7 @@ Each is one column, with the size that joints or drives have of it, and the odds
 
 The fit with such a column is integrated over its size, and has the weight that its odds and its likelihood give it; but
 none is likelier than the likeliest model without. Where the joint reverses, a rate that is a fraction of a sample late
-looks like much of this: the likelihood says nothing that an error of the rate explains.
+looks like much of this. What an error of the rate explains is therefore no evidence.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import Covariance, covariance
-from hil.uncertainty.model_average import AKAIKE, SELDOM
+from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class Largest:
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
-        found |= {term: cost + SELDOM for term, cost in found.items() if TERMS[term].seldom}
+        found |= {term: cost + c.ONE_IN_TEN for term, cost in found.items() if TERMS[term].seldom}
         costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in own(term)}
         return costs | {name: AKAIKE for name in self.names if name.startswith(_DEVIATING)}
 
