@@ -91,13 +91,22 @@ def emulated(folder: Path, *words: str) -> Iterator[Path]:
 Opened = Callable[..., "Page"]
 
 
+def nice(program: str, folder: Path) -> Path:
+    """A program that starts `program` so that its many threads take no core from a drive that another test emulates."""
+    script = folder / "nice"
+    script.write_text(f'#!/bin/sh\nexec nice -n 10 "{program}" "$@"\n')
+    script.chmod(0o755)
+    return script
+
+
 @pytest.fixture
-def opened() -> Iterator[Opened]:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
     """Open a page in a browser of its own; a fault of its scripts fails the test."""
     sync_playwright = pytest.importorskip("playwright.sync_api", reason="PAGE NOT OPENED: pip install 'hil[study]'")
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("PAGE NOT OPENED IN A BROWSER: there is no chromium; apt-get install chromium")
+    browser = nice(browser, tmp_path_factory.mktemp("browser"))
     faults: list[str] = []
     with ExitStack() as stack:
         driver = [stack.enter_context(sync_playwright.sync_playwright())]
