@@ -12,7 +12,7 @@
     overlay: new Plots.Loop("overlay-plot"),
   };
   let table = { stands: [], recordings: [], profiles: {} }, first = 0;
-  let job = null, starting = false, store = null, drawing = 0, pressed = false, link = null, lost = false, agree = null;
+  let job = null, awaited = 0, store = null, drawing = 0, pressed = false, link = null, lost = false, agree = null;
   let finished = -1, output = "", predicting = 0, timer = 0, traced = "", listed = "", began = 0;
 
   // ---- small things
@@ -46,7 +46,8 @@
     try { say(""); return await work(); } catch (error) { say(error.message); return null; }
   }
 
-  const moving = () => starting || Boolean(job && job.moves && job.status === null);
+  const starting = () => awaited > (job ? job.number : 0);  // the command's number, unknown until the server has answered
+  const moving = () => starting() || Boolean(job && job.moves && job.status === null);
   const stand = () => table.stands.find((one) => one.file === chosenStand()) || table.stands[0];
   const chosenStand = () => { const one = document.querySelector("#stands input:checked"); return one ? one.value : "sim"; };
   const chosen = () => [...document.querySelectorAll("#recordings input:checked")].map((one) => one.value);
@@ -130,12 +131,14 @@
   // ---- commands
   async function begin(wanted) {
     if (moving()) return;
-    starting = ["record", "doctor"].includes(wanted.kind) && wanted.stand !== "sim" || wanted.kind === "record";
+    const moves = ["record", "doctor"].includes(wanted.kind) && wanted.stand !== "sim" || wanted.kind === "record";
+    awaited = moves ? Infinity : 0;
     began = performance.now();
     pressed = false;
     showReport("");  // its frame would take the keys that stop
-    await trying(() => ask("/api/start", wanted));
-    starting = false;
+    const answer = await trying(() => ask("/api/start", wanted));
+    awaited = answer && moves ? answer.number : 0;
+    if (!answer) pressed = false;
     showState();
   }
 
@@ -159,13 +162,12 @@
   }
 
   function stop() {
-    pressed = true;
+    pressed = moving();
     at("stop").textContent = "STOP sent";
     const press = String(Math.random());  // the open connection is faster, and the request goes where that one hangs
     if (link && link.readyState === WebSocket.OPEN) link.send(press);
     fetch(`/api/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => { if (!answer.ok) throw new Error(); return answer.json(); }).then((answer) => {
       if (!answer.running) at("stop").textContent = "STOP";
-      if (!answer.running && !starting) pressed = false;
     }).catch(() => say("STOP did not reach hil studio: press Ctrl-C in its terminal, or cut the power of the motor."));
   }
 
@@ -173,7 +175,7 @@
   function connect() {
     link = new WebSocket(`ws://${location.host}/api/stream`);
     link.binaryType = "arraybuffer";
-    link.onopen = () => { store = null; if (lost) { lost = false; say(""); } };
+    link.onopen = () => { store = null; if (awaited < Infinity) awaited = 0; if (lost) { lost = false; say(""); } };
     link.onmessage = ({ data }) => { if (typeof data === "string") told(JSON.parse(data)); else rows(data); };
     link.onclose = () => {
       if (moving() || lost) {
@@ -201,7 +203,7 @@
       if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); }
     }
     job = state;
-    starting = false;
+    if (!starting()) { awaited = 0; pressed = pressed && job.status === null; }
     showState();
     if (job.number === finished && job.status !== null) return;
     at("said").replaceChildren(...job.said.map((one) => make("li", one, { className: job.status && !job.stops ? "error" : "" })));
@@ -212,16 +214,16 @@
     const busy = job.status === null && ["identify", "compare", "export"].includes(job.kind);
     at("progress").hidden = !busy;
     if (busy) at("progress").lastElementChild.textContent = `${job.said[job.said.length - 1] || job.command} (${Math.round((performance.now() - began) / 1000)} s)`;
-    if (job.status !== null && finished !== job.number) { finished = job.number; pressed = false; ended(); }
+    if (job.status !== null && finished !== job.number) { finished = job.number; ended(); }
   }
 
   function showState() {
     const live = job && job.live;
     const names = { record: "Recording", doctor: "Checking the stand", readings: "Reading at rest", identify: "Identifying", compare: "Comparing", export: "Exporting", design: "Searching the best excitation", stand: "Writing the stand file" };
     let text = "Nothing moves.";
-    if (starting) text = "Starting. Any key stops.";
+    if (starting()) text = "Starting. Any key stops.";
     else if (job && job.status === null) text = names[job.kind] + (moving() ? (live ? `, ${Math.ceil(live.left)} s left. Any key stops.` : ". Any key stops.") : "");
-    if (job && job.moves && job.stops) text = job.off_after !== null ? `Torque off after ${Math.round(1000 * job.off_after)} ms.` : job.status === null ? "Stopping ..." : "Stopped.";
+    if (!starting() && job && job.moves && job.stops) text = job.off_after !== null ? `Torque off after ${Math.round(1000 * job.off_after)} ms.` : job.status === null ? "Stopping ..." : "Stopped.";
     if (at("state").textContent !== text) at("state").textContent = text;
     at("stop").textContent = job && job.status === null && job.stops ? "STOP sent" : "STOP";
     document.body.dataset.moving = moving() ? "yes" : "no";

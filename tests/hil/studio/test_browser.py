@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -193,11 +194,11 @@ def frozen(processes: list[int]) -> Iterator[None]:
             os.kill(one, signal.SIGCONT)
 
 
-def wait_until(true: Callable[[], bool]) -> None:
+def wait_until(true: Callable[[], bool], pause: Callable[[], object] = lambda: time.sleep(0.01)) -> None:
     end = time.monotonic() + SOON / 1e3
     while not true():
         assert time.monotonic() < end
-        time.sleep(0.01)
+        pause()
 
 
 def rows(part: Path) -> int:
@@ -329,6 +330,39 @@ def test_a_key_right_after_start_stops_too(opened: Opened, tmp_path: Path) -> No
         begin(page)
         page.keyboard.press("Space")
         page.locator("#state", has_text="Stopped.").or_(page.locator("#banner", has_text="before it began")).wait_for()
+        page.locator("body[data-moving=no]").wait_for()
+
+
+def test_a_key_that_overtakes_the_start_stops_the_run_that_then_begins(opened: Opened, tmp_path: Path) -> None:
+    """The server hears of the key before the start; the page hears the answer to it before it hears of the run."""
+    starts: list[Any] = []
+    answers: list[tuple[Any, Any]] = []
+    states: list[Callable[[], None]] = []
+
+    def streamed(end: Any) -> None:
+        end.connect_to_server().on_message(lambda told: states.append(partial(end.send, told)))
+
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.route_web_socket("**/api/stream", streamed)
+        page.route("**/api/start", lambda route: starts.extend([route]))
+        page.route("**/api/stop*", lambda route: answers.append((route, route.fetch())), times=1)
+        page.reload()
+        page.click("#to-record")
+        begin(page)
+        page.keyboard.press("Space")
+        wait_until(lambda: bool(starts and answers), lambda: page.wait_for_timeout(10))
+        with page.expect_response("**/api/start"):
+            starts[0].continue_()
+        answers[0][0].fulfill(response=answers[0][1])
+        over = page.locator("#state", has_text=re.compile(r"Stopped|Torque off after"))
+
+        def hear() -> None:
+            page.wait_for_timeout(10)
+            while states:
+                states.pop(0)()
+
+        wait_until(over.is_visible, hear)
         page.locator("body[data-moving=no]").wait_for()
 
 
