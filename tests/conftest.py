@@ -25,6 +25,7 @@ import pytest
 from hypothesis import settings
 
 from hil.recording import writer
+from hil.recording.posix import in_child
 
 from .budget import (  # noqa: F401 - hooks
     pytest_runtest_logreport,
@@ -95,19 +96,27 @@ def state_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
         yield
 
 
-@pytest.fixture(autouse=True)
-def recordings_are_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="session", autouse=True)
+def recordings_are_quick() -> Iterator[None]:
     """Save what costs 100 ms or more for each recording and is the same for all.
 
     None is tried out in a copy of this process before it is opened, since nearly every test has just written it
     itself; the versions of the software, one of them `git`'s, are looked up once; and before a run in real time the
     memory is not searched for what can be freed, which holds all tests here.
     """
-    if request.node.get_closest_marker("damaged_files") is None:
-        monkeypatch.setattr("hil.recording.reader.in_child", lambda *_, **__: True)
-        monkeypatch.setattr("hil.recording.input.in_child", lambda work, **_: work())
-    monkeypatch.setattr("hil.recording.writer._software", SOFTWARE)
-    monkeypatch.setattr("hil.acquisition.real_time.gc", UNSEARCHED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hil.recording.reader.in_child", lambda *_, **__: True)
+        patch.setattr("hil.recording.input.in_child", lambda work, **_: work())
+        patch.setattr("hil.recording.writer._software", SOFTWARE)
+        patch.setattr("hil.acquisition.real_time.gc", UNSEARCHED)
+        yield
+
+
+@pytest.fixture
+def damaged_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Try recordings out in a copy of the process, as a person's are: some damaged files end it."""
+    monkeypatch.setattr("hil.recording.reader.in_child", in_child)
+    monkeypatch.setattr("hil.recording.input.in_child", in_child)
 
 
 @pytest.fixture

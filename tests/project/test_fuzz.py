@@ -23,7 +23,7 @@ def parsers() -> Any:
         sys.path.remove(str(BENCHMARKS))
 
 
-pytestmark = pytest.mark.damaged_files  # SciPy ends the process on some damaged MAT-files
+pytestmark = pytest.mark.usefixtures("damaged_files")  # SciPy ends the process on some damaged MAT-files
 
 NAMES = (
     "dynamixel 2", "dynamixel 1, feetech", "feetech block", "mit", "robstride", "moteus", "odrive", "board lines",

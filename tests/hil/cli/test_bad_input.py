@@ -163,7 +163,7 @@ def test_the_largest_seed_is_kept(hil: Hil) -> None:
         assert file.attrs["seed"] == 2**63 - 1
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -> None:
     """Bytes anywhere, most of them metadata; the samples have their checksums. Never a fault of hil's."""
     data = make_recording("a.h5", samples=64).read_bytes()

@@ -190,7 +190,7 @@ def test_an_object_of_matlab_and_a_pickle_are_refused_with_what_to_save_in_their
         open_table(files / "o.npz")
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 @pytest.mark.parametrize("name", ["v7.mat", "v73.mat", "a.parquet", "a.tdms", "a.npz"])
 def test_a_damaged_file_is_read_or_refused_and_nothing_else(files: Path, tmp_path: Path, name: str) -> None:
     whole, rng = (files / name).read_bytes(), np.random.default_rng(3)

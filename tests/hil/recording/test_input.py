@@ -14,7 +14,7 @@ import pytest
 from hil.errors import WrongUse
 from hil.recording.input import bounded
 
-pytestmark = pytest.mark.damaged_files
+pytestmark = pytest.mark.usefixtures("damaged_files")
 
 
 @pytest.mark.parametrize("work", [lambda: bytearray(1 << 30), os.abort], ids=["memory", "crash"])

@@ -588,7 +588,7 @@ def _nothing(path: Path) -> None:
     del path
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 @pytest.mark.parametrize(
     ("spoil", "expected"),
     [
@@ -697,7 +697,7 @@ def _large_chunks(path: Path) -> None:
         file["samples"].create_dataset("torque", (5,), "<f8", chunks=(2**27,), maxshape=(None,), compression="gzip")
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 @pytest.mark.parametrize(
     ("spoil", "expected"),
     [(_many_rows, "declares 1000000000 rows"), (_many_events, "declares more than"), (_large_chunks, "chunks of 1073")],
@@ -708,7 +708,7 @@ def test_declared_sizes_are_not_believed(tmp_path: Path, spoil: Callable[[Path],
         Recording(tmp_path / "a.h5")
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 def test_a_program_that_ignores_the_end_of_its_children_can_open_a_recording(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.h5", 5).finish("done")
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
@@ -719,7 +719,7 @@ def test_a_program_that_ignores_the_end_of_its_children_can_open_a_recording(tmp
         signal.signal(signal.SIGCHLD, before)
 
 
-@pytest.mark.damaged_files
+@pytest.mark.usefixtures("damaged_files")
 @pytest.mark.parametrize("fault", [pytest.param("hangs", marks=pytest.mark.study), "crashes", "needs much memory"])
 def test_a_file_on_which_the_library_fails_is_refused_in_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str
