@@ -91,8 +91,10 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
 def _whole(lines: list[str]) -> list[str]:
     """Return the lines. Headings that contain a quoted line break are joined in the line where they end."""
     for at in range(len(lines) - 1):
+        if lines[at].count('"') % 2 == 0:
+            continue
         quotes = np.cumsum([line.count('"') for line in lines[at : at + _HEADING]])
-        if quotes[0] % 2 and (ends := np.flatnonzero(quotes % 2 == 0)).size:
+        if (ends := np.flatnonzero(quotes % 2 == 0)).size:
             parts = lines[at : at + int(ends[0]) + 1]
             lines[at : at + len(parts)] = ["\n"] * (len(parts) - 1) + [" ".join(map(str.strip, parts))]
     return lines
@@ -136,7 +138,8 @@ def _headings(
     name for each cell. Where a log began in the middle of a row, the headings follow the first rows.
     """
     delimiter, fields, rows = shape
-    texts = [at for at, line in enumerate(lines) if line.strip() and at not in set(rows)]
+    numbers = set(rows)
+    texts = [at for at, line in enumerate(lines) if line.strip() and at not in numbers]
     nearest = [at for at in reversed(texts) if at < rows[0]] + [at for at in texts if at > rows[0]]
     choices = []
     for at in nearest:

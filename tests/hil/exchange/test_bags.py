@@ -57,7 +57,7 @@ def imported(
     return import_table(source, tmp_path / "a.h5", {}, [], topic=topic, joint=joint, force=True)
 
 
-@pytest.mark.parametrize(("storage", "stamped"), [("sqlite3", True), ("mcap", True), ("mcap", False)])
+@pytest.mark.parametrize(("storage", "stamped"), [("sqlite3", True), ("mcap", False)])
 def test_a_joint_of_a_bag_becomes_a_recording(tmp_path: Path, storage: str, *, stamped: bool) -> None:
     folder = bag(tmp_path / "bag", storage=storage, stamped=stamped)
     for source in (folder, *folder.glob("*.mcap"), *folder.glob("*.db3")):  # the folder, and its one file
@@ -69,6 +69,7 @@ def test_a_joint_of_a_bag_becomes_a_recording(tmp_path: Path, storage: str, *, s
             np.testing.assert_array_equal(recording.channel("torque"), STATE[3])
 
 
+@pytest.mark.study
 def test_another_message_is_read_by_the_paths_of_its_numbers(tmp_path: Path) -> None:
     source = bag(tmp_path / "bag")
     columns = {"torque": Column("wrench.torque.z", "N*m"), "dtheta": Column("wrench.torque.z", "rad")}
@@ -112,6 +113,7 @@ def test_a_joint_state_without_effort_is_refused(tmp_path: Path) -> None:
         imported(tmp_path, bag(tmp_path / "bag", [("finger", STATE[1], STATE[2], nothing)]))
 
 
+@pytest.mark.study
 def test_a_type_whose_definition_the_bag_lacks_is_named(tmp_path: Path) -> None:
     [source] = bag(tmp_path / "bag").glob("*.db3")
     with closing(sqlite3.connect(source)) as database:
@@ -194,6 +196,7 @@ def test_a_bag_without_its_library_says_what_to_install(tmp_path: Path, monkeypa
 # --- PlotJuggler -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_a_table_of_several_topics_is_read_where_a_row_has_a_reading(tmp_path: Path) -> None:
     """As PlotJuggler exports them: a row has empty cells for the topics that were not received at its time."""
     lines = ["__time,/joint_states/finger/position,/joint_states/finger/effort,/battery/v"]

@@ -39,7 +39,7 @@ def samples(path: Path) -> dict[str, list[str]]:
         return {name: [value.hex() for value in opened.channel(name).tolist()] for name in CHANNELS}
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.parquet", "a.mat", "a.mcap"])
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet", "a.mat", pytest.param("a.mcap", marks=pytest.mark.study)])
 def test_what_is_exported_and_imported_again_is_the_same_to_the_last_bit(tmp_path: Path, name: str) -> None:
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow", reason="PARQUET NOT TESTED: pyarrow is missing")
@@ -121,6 +121,7 @@ def test_a_recording_that_was_changed_is_not_exported(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
+@pytest.mark.study
 def test_an_export_can_be_imported_in_part(tmp_path: Path) -> None:
     export(recording(tmp_path), tmp_path / "a.csv")
     done = import_table(tmp_path / "a.csv", tmp_path / "b.h5", {}, [RowFilter.parse("seq<100")])

@@ -58,7 +58,7 @@ def coefficients(folder: Path) -> Any:
     return np.linalg.lstsq(np.column_stack([angle, rate])[good], torque[good], rcond=None)[0]
 
 
-@pytest.mark.parametrize(("late", "shared"), [(0.0, True), (-1.7e9, False)])
+@pytest.mark.parametrize(("late", "shared"), [pytest.param(0.0, True, marks=pytest.mark.study), (-1.7e9, False)])
 def test_two_files_give_kc_and_bc_on_one_clock_and_on_clocks_that_differ(
     tmp_path: Path, late: float, *, shared: bool
 ) -> None:
@@ -79,6 +79,7 @@ def test_a_column_that_both_files_have_is_named_with_its_file(tmp_path: Path) ->
     np.testing.assert_allclose(coefficients(tmp_path), [STIFFNESS, DAMPING], rtol=0.02)
 
 
+@pytest.mark.study
 def test_files_that_cannot_be_joined_are_refused_with_the_cause(tmp_path: Path) -> None:
     logged(tmp_path, late=100.0)
     with pytest.raises(
@@ -97,6 +98,7 @@ def test_files_that_cannot_be_joined_are_refused_with_the_cause(tmp_path: Path) 
         joined(tmp_path, PLAIN, Join(tmp_path / "cell.csv"))
 
 
+@pytest.mark.study
 def test_a_motion_of_one_frequency_does_not_tell_the_clocks_apart(tmp_path: Path) -> None:
     time = np.arange(0.0, 8.0, 0.004)
     sine = np.column_stack([time, np.degrees(0.1 * np.sin(9.0 * time))])
@@ -138,6 +140,7 @@ def test_rows_are_chosen_by_the_times_of_the_file(
         import_table(tmp_path / "a.csv", tmp_path / "b.h5", columns, [], between=("99", "100"))
 
 
+@pytest.mark.study
 def test_a_file_whose_clock_was_set_is_not_joined(tmp_path: Path) -> None:
     logged(tmp_path)
     rows = np.loadtxt(tmp_path / "cell.csv", delimiter=",", skiprows=1)
