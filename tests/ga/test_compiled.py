@@ -89,6 +89,7 @@ def rewrite(source: Path, text: str) -> None:
     os.utime(source, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
+@pytest.mark.study
 def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tmp_path: Path) -> None:
     asked = [begin(ASK, package, tmp_path / "cache") for _ in range(2)]
     assert sorted(answered(end(*one)) for one in asked) == [(2.0, False), (2.0, True)]
@@ -104,6 +105,7 @@ def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(
     assert heard == [0, 1]
 
 
+@pytest.mark.study
 def test_a_changed_function_of_another_module_is_compiled_again_and_a_former_one_found(
     package: Path, tmp_path: Path
 ) -> None:
@@ -114,6 +116,7 @@ def test_a_changed_function_of_another_module_is_compiled_again_and_a_former_one
     assert ask(package, tmp_path / "cache") == (2.0, True)
 
 
+@pytest.mark.study
 def test_machine_code_of_a_moved_module_is_never_used(package: Path, tmp_path: Path) -> None:
     """Another module takes the old one's place, older than all that was ever compiled."""
     assert ask(package, tmp_path / "cache") == (2.0, False)
@@ -202,6 +205,7 @@ def test_a_folder_is_closed_to_others_whatever_the_umask_allows(package: Path, t
     assert {folder.stat().st_mode & 0o777 for folder in (tmp_path / "cache").rglob("joint-*")} == {0o700}
 
 
+@pytest.mark.study
 def test_a_file_of_the_cache_that_is_empty_cut_or_zeros_is_replaced(package: Path, tmp_path: Path) -> None:
     ask(package, tmp_path)
     for pattern, part, filling in (("*.nbi", 0.0, 0), ("*.nbi", 0.5, 0), ("*.nbc", 0.5, 0), ("*.nbc", 0.0, 1)):
@@ -250,6 +254,7 @@ def test_ctrl_c_while_a_function_is_compiled_ends_the_work_once_that_function_is
     assert done == ["inner", "next"]
 
 
+@pytest.mark.study
 def test_the_working_directory_says_nothing_of_where_machine_code_is(
     package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

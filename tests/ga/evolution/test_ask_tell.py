@@ -27,6 +27,7 @@ def run(search: Search, error: Callable[[NDArray[np.float64]], float]) -> None:
         search.tell(genes, [error(chromosome) for chromosome in genes])
 
 
+@pytest.mark.study
 def test_the_bottom_of_rosenbrocks_valley_is_found() -> None:
     search = Search(Bounds(np.array([-2.0, -1.0]), np.array([2.0, 3.0])), seed=1, floor=1e-12)
     run(search, lambda x: float(100.0 * (x[1] - x[0] ** 2) ** 2 + (1.0 - x[0]) ** 2))

@@ -34,6 +34,7 @@ def test_a_tournament_draws_different_chromosomes_each_with_the_same_probability
     assert np.sum((counts - 900.0) ** 2 / 900.0) < 33.7
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("larger", "never"), [(False, {8, 9}), (True, {0, 1})])
 def test_a_tournament_of_three_is_won_by_the_best_of_three(larger: bool, never: set[int]) -> None:
     fitness, order, words = np.arange(10.0), np.arange(10), unsigned(load(seeded(1, 0)))

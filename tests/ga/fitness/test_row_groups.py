@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,7 @@ def rows_of(tree: Tree, item: int) -> range:
     return range(item, item + 1) if group < 0 else range(*tree.contents[group, [FIRST_ROW, END_ROW]].tolist())
 
 
+@pytest.mark.study
 @settings(max_examples=15)
 @given(n=st.integers(1, 2000), p=st.integers(1, 4), seed=st.integers(0, 2**32 - 1))
 def test_a_group_holds_its_parts_and_bounds_the_residuals_of_its_rows(n: int, p: int, seed: int) -> None:

@@ -91,6 +91,7 @@ def test_bracketing_a_long_recording_gives_the_proven_optimum(kind: str, p: int)
             assert np.mean(np.abs(torque - columns @ moved)) >= optimum.fitness * (1.0 - 1e-14)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("seed", [9, 26, 28])
 def test_hum_in_step_with_the_readings_of_a_periodic_motion_has_a_proven_optimum(seed: int) -> None:
     """Rows of one period after the other are alike to rounding, and the residuals have ten values."""
@@ -188,8 +189,8 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
 @pytest.mark.parametrize("kind", ["plain", "outliers", "counts", "repeated rows", "collinear", "a zero column"])
 @pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
 def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
-    for seed in range(6):
-        columns, torque = recording(kind, 5000 if seed % 4 == 0 else 300, 4, np.random.default_rng(seed))
+    for seed in range(2):
+        columns, torque = recording(kind, 5000 if seed == 0 else 300, 4, np.random.default_rng(seed))
         plain = least_absolute_deviations(columns, torque)
         near = plain.genes * (1.0 + off) + off * (plain.genes == 0.0)
         found = least_absolute_deviations(columns, torque, near)
@@ -203,7 +204,7 @@ def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: f
 def test_rows_that_are_not_too_many_take_the_short_way_to_the_optimum_of_the_long_one(
     kind: str, is_near: bool, rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for seed in range(6):
+    for seed in (0, 5):
         columns, torque = recording(kind, rows, 1 + seed, np.random.default_rng(seed))
         short = solve_few(columns, torque, np.ones(columns.shape[1]) if is_near else None)
         with monkeypatch.context() as without:
@@ -219,6 +220,7 @@ def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
         assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
 
 
+@pytest.mark.study
 @settings(max_examples=25)
 @given(kind=st.sampled_from(KINDS), n=st.integers(1, 120), p=st.integers(1, 8), seed=st.integers(0, 2**32 - 1))
 def test_with_signs_it_is_the_optimum_of_the_linear_programme_with_bounds(kind: str, n: int, p: int, seed: int) -> None:

@@ -134,16 +134,15 @@ def test_data_without_noise_are_fitted_exactly() -> None:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-3])
-@pytest.mark.parametrize("seed", range(2))
-def test_no_search_is_better_than_the_optimum_it_is_compared_with(noise: float, seed: int) -> None:
+def test_no_search_is_better_than_the_optimum_it_is_compared_with(noise: float) -> None:
     """Without noise both are rounding, and which is the smaller would be chance."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     time = np.arange(3000) / 300.0
     angle = 0.3 * np.sin(2.0 * np.pi * (0.3 + 0.6 * time) * time)
     columns = np.stack([angle, np.gradient(angle, time), np.ones_like(time)], axis=1)
     torque = columns @ np.array([0.02, 2e-4, 1e-3]) + noise * rng.standard_normal(len(time))
     bounds = bounds_from_data(columns, torque)
-    trials = run_trials(columns, torque, bounds, PRESETS["default"], trials=10, seed=seed, workers=1)
+    trials = run_trials(columns, torque, bounds, PRESETS["default"], trials=10, seed=0, workers=1)
     found = reduced(columns, torque)
     for genes in (*trials.genes, np.array([0.02, 2e-4, 1e-3])):
         optimum, gap = found.compared(genes)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from ga.model.cache import kept
@@ -40,6 +41,7 @@ class Smoothed:
         return lambda values: 0.5 * (values + np.roll(values, 1, axis=-1))
 
 
+@pytest.mark.study
 def test_kept_columns_are_those_computed_without() -> None:
     """At parameters of which one after another moves and returns: no key leaves out what its columns depend on."""
     motion = Motion(TIME, WAVE.imag, RATE, ACCELERATION, np.zeros(len(TIME)), behind=Smoothed())

@@ -166,6 +166,7 @@ def test_a_standard_linear_solid_comes_back_with_its_relaxed_stiffness() -> None
     assert found == pytest.approx({"Kc": KC, "Bc": BC, "K1": 0.1, "tau1": 0.03}, rel=0.03)
 
 
+@pytest.mark.study
 def test_two_branches_come_back() -> None:
     parts = [MOTION.dtheta - steady_lag(MOTION.time, constant) for constant in (0.01, 0.2)]
     torque = spring_and_damper() + 0.15 * parts[0] + 0.1 * parts[1] + 0.1 * NOISES
@@ -204,7 +205,7 @@ def test_friction_that_builds_up_is_that_of_an_integrator(rise: float, over: flo
 
 
 @pytest.mark.parametrize("law", [("presliding",), ("bristles", 0.5, 3.0), ("yielding",)])
-@pytest.mark.parametrize("part", [0.1, 1.0])
+@pytest.mark.parametrize("part", [0.1, pytest.param(1.0, marks=pytest.mark.study)])
 def test_friction_that_builds_up_within_a_sample_is_that_of_one_sampled_50_times_finer(
     law: tuple[str, *tuple[float, ...]], part: float
 ) -> None:
@@ -269,6 +270,7 @@ def test_friction_in_proportion_to_the_torque_comes_back(rest: float) -> None:
     assert found == pytest.approx(expected, rel=0.03, abs=1e-3)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("rest", [0.02, 1.5 * float(MOTION.dtheta.min())])
 def test_a_damper_beside_a_pulley_adds_nothing_to_its_friction(rest: float) -> None:
     angle, rate = MOTION.dtheta, MOTION.dtheta_dot
@@ -291,9 +293,9 @@ def test_when_a_pulley_turns_its_friction_over_does_not_depend_on_the_damper() -
     ("term", "added"),
     [
         ("cubic", {"K3": 60.0}),
-        ("quadratic", {"B2": 2e-3}),
-        ("softening", {"Ks": 0.01}),
-        ("maxwell", {"K1": 0.3, "tau1": 0.05}),
+        pytest.param("quadratic", {"B2": 2e-3}, marks=pytest.mark.study),
+        pytest.param("softening", {"Ks": 0.01}, marks=pytest.mark.study),
+        pytest.param("maxwell", {"K1": 0.3, "tau1": 0.05}, marks=pytest.mark.study),
     ],
 )
 def test_a_tendon_rubs_in_proportion_to_all_that_it_carries(term: str, added: dict[str, float]) -> None:
@@ -332,6 +334,7 @@ def built_up(reach: float, start: float) -> Array:
     return np.array(found)[::50]
 
 
+@pytest.mark.study
 def test_friction_in_proportion_to_the_torque_that_builds_up_comes_back() -> None:
     carried = KC * (MOTION.dtheta - 0.02) + BC * MOTION.dtheta_dot
     torque = carried + 0.2 * np.abs(carried) * built_up(0.015, 0.7) + 0.01 + NOISES
@@ -454,10 +457,10 @@ TORQUE = (
     + 0.01
     + NOISES
 )
-QUICK = "linear+offset+cubic+skew"
+QUICK = {("linear+offset+cubic+skew", term) for term in ("dahl", "maxwell", "lag", "quadratic")}
 ADDED = [
-    pytest.param(name, term, marks=() if name == QUICK else pytest.mark.study)
-    for name in (QUICK, "linear+offset+coulomb")
+    pytest.param(name, term, marks=() if (name, term) in QUICK else pytest.mark.study)
+    for name in ("linear+offset+cubic+skew", "linear+offset+coulomb")
     for term in TERMS
     if is_addable(term, name.split("+")) and term not in {"backlash", "slack"}
 ]
