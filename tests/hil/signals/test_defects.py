@@ -100,6 +100,7 @@ def test_a_recording_with_no_row_left_is_refused_with_what_most_of_them_lack(
         prepare(recording, None)
 
 
+@pytest.mark.study
 def test_a_long_recording_with_no_row_left_is_refused_before_it_is_read(make_recording: Maker) -> None:
     with Recording(make_recording(change=mostly_no_numbers)) as recording:
         long = LongRecording(recording, None)

@@ -142,6 +142,7 @@ def test_a_window_may_span_a_gap_of_half_its_width_and_no_more(
     assert (signals.defects.near_gaps > 0) == dropped
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("kind", "advice"), [("imported", "record a larger motion"), ("chirp", "(--amplitude)")])
 def test_an_option_of_hil_record_is_no_advice_for_an_imported_recording(tmp_path: Path, kind: str, advice: str) -> None:
     time = np.arange(2000) / 500.0
@@ -181,6 +182,7 @@ def test_at_one_frequency_an_inertia_is_no_wrong_sign(
     assert ("implausible" in codes(make_recording, change=change)) is wrong
 
 
+@pytest.mark.study
 def test_a_pause_changes_no_figure_but_its_own(tmp_path: Path) -> None:
     pause = 1.7e9  # a clock that is set
     rng, time = np.random.default_rng(0), np.arange(2000) / 500.0

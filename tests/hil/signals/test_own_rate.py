@@ -67,6 +67,7 @@ def test_noise_of_a_reported_rate_is_no_lag(noise: float) -> None:
     assert own_rate(TIME, RATE + noise * NOISE[1], RATE, 12.0) is None
 
 
+@pytest.mark.study
 def test_kc_and_bc_do_not_follow_the_filter_of_a_drive(tmp_path: Path) -> None:
     signals = read(tmp_path / "a.h5", lagged(RATE, 8e-3))
     (said,) = [one.message for one in inspect(tmp_path / "a.h5").diagnostics if one.code == "unused-rate"]
@@ -97,6 +98,7 @@ def test_a_rate_with_noise_or_coarse_steps_gives_way_to_the_derivative(
     assert fitted(signals)[1] == pytest.approx(BC, rel=0.01)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("count", [1e-4])
 def test_a_rate_that_was_computed_from_differences_of_the_deflection_gives_way_without_a_word(
     tmp_path: Path, count: float

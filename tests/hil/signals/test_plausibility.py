@@ -19,7 +19,6 @@ LIMITS = "[stand]\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n
     [
         (1.0, 1.0, LIMITS, 0),
         (1000.0, 57.3, LIMITS, 2),
-        (0.001, 2.0, LIMITS, 1),
         (1.0, 57.3, "", 1),
         (1000.0, 1.0, "", 0),  # nothing to hold it against
     ],

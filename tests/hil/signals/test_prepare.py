@@ -142,6 +142,7 @@ def test_a_rate_that_came_with_the_data_is_used_as_it_is(make_recording: Maker) 
     assert signals.rate_window == 0.0
 
 
+@pytest.mark.study
 def test_beside_a_gap_a_rate_that_came_with_the_data_has_no_acceleration(make_recording: Maker) -> None:
     def cut(channels: dict[str, Array]) -> None:
         channels["dtheta_dot"] = np.gradient(channels["dtheta"], channels["time"])
@@ -243,7 +244,7 @@ def test_a_joint_that_rests_wherever_its_rate_is_known_identifies_nothing(make_r
         refuse_at_rest(recording, prepare(recording, None))
 
 
-@pytest.mark.parametrize("source", ["motor", "joint"])
+@pytest.mark.parametrize("source", ["motor", pytest.param("joint", marks=pytest.mark.study)])
 def test_a_recording_read_in_blocks_is_the_one_read_whole(tmp_path: Path, source: Literal["motor", "joint"]) -> None:
     rng = np.random.default_rng(4)
     time = np.arange(3000) / 500.0 + 2e-5 * rng.standard_normal(3000)

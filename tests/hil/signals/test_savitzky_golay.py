@@ -65,8 +65,7 @@ def by_least_squares(time: Array, values: Array, half: int) -> Array:
     return np.array(found).T
 
 
-@pytest.mark.parametrize("jitter", [0.0, 1e-4, 0.5], ids=["even stamps", "nearly even", "uneven"])
-@pytest.mark.parametrize("half", [4, 40])
+@pytest.mark.parametrize(("half", "jitter"), [(40, 0.0), (40, 1e-4), (4, 0.5)], ids=["even", "nearly even", "uneven"])
 def test_sums_and_kernels_shared_by_many_windows_give_what_each_window_gives(half: int, jitter: float) -> None:
     rng = np.random.default_rng(half)
     time = (np.arange(300) + rng.uniform(0.0, jitter, 300)) / 500.0

@@ -52,6 +52,7 @@ def test_the_age_of_readings_at_a_multiple_of_the_ticks_is_unsure_by_a_tick() ->
     assert np.abs(found.time - np.round((found.time - at[0]) * 100.0) / 100.0 - at[0]).max() <= 1e-3
 
 
+@pytest.mark.study
 def test_an_uneven_cell_was_read_between_two_ticks() -> None:
     at = conversions(80.0, jitter=0.5)
     found = readings(TICKS, held(at, noisy(at)), "held")
@@ -137,6 +138,7 @@ def test_readings_beside_a_lost_reply_have_no_known_age() -> None:
     assert len(found.time) > 600
 
 
+@pytest.mark.study
 def test_a_pace_that_the_ticks_leave_open_is_that_of_the_motion() -> None:
     angle, rate = np.sin(OMEGA * TICKS), OMEGA * np.cos(OMEGA * TICKS)
     motion = Motion(TICKS, angle, rate, -(OMEGA**2) * angle, np.zeros(5000))

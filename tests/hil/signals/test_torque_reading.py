@@ -18,6 +18,7 @@ TIME = np.arange(45_000) * STEP / FINE
 LONGEST = 0.02
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("delay", "said"), [(0.03, "and a model corrects at most 20 ms"), (9e-3, "")])
 def test_a_delay_is_named_if_no_model_corrects_it(tmp_path: Path, delay: float, said: str) -> None:
     phases = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 30)

@@ -105,6 +105,7 @@ def test_the_lines_that_counts_make_of_a_steady_motion_are_no_motion_beyond_its_
         assert found.band[1] == pytest.approx(highest, rel=0.2)
 
 
+@pytest.mark.study
 def test_fast_motion_that_the_torque_shows_too_is_no_noise_of_the_deflection() -> None:
     """Its spectrum falls as that of noise behind a low-pass of second order at 30 Hz, nearly to half the rate."""
     time, rng = np.arange(6000) / 500.0, np.random.default_rng(2)
@@ -144,6 +145,7 @@ def test_steps_between_the_readings_of_a_slow_cell_are_no_noise_that_would_hide_
     assert 0.02 < np.mean(jerked) < 0.3
 
 
+@pytest.mark.study
 def test_jumps_are_seen_in_a_recording_whose_torque_is_that_of_a_slow_cell(make_recording: Maker) -> None:
     time, angle, cell = stepping(1000)
 

@@ -53,17 +53,10 @@ def relative(fit: Fitted, change: Array) -> Array:
     return np.asarray((fit.genes[:2] + change[:2]) / TRUE - 1.0)
 
 
-def held(values: Array, samples: int) -> Array:
-    """A set-point that is sent only now and then."""
-    return np.asarray(values[(np.arange(len(values)) // samples) * samples])
-
-
 COMMANDS = {
     "as driven": multisine(TIME),
-    "before a position loop of 2 Hz": multisine(TIME) + multisine(TIME, 1) / (2.0 * np.pi * 2.0),
     "50 ms early": multisine(TIME + 0.05),
     "clipped": np.clip(multisine(TIME), -0.05, 0.05),
-    "held for 50 ms": held(multisine(TIME), 3),
     "a torque, upside down": -4.0 * multisine(TIME) - 0.02 * multisine(TIME, 1),
 }
 
@@ -141,6 +134,7 @@ def test_a_skew_of_the_model_is_corrected_with_the_other_parameters() -> None:
     assert abs(fit.nonlinear[0] + found.change[-1]) < 2e-3  # s, of 16.7 between two readings; there is none
 
 
+@pytest.mark.study
 def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     near, far = (deflection_errors(fitted(0.02, command=multisine(TIME), zero=zero)) for zero in (0.0, 5.0))
     np.testing.assert_allclose(near.change[:2], far.change[:2], rtol=0.02, atol=1e-6)

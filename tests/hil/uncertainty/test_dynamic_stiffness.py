@@ -48,6 +48,7 @@ def test_a_spring_and_damper_have_the_same_stiffness_in_every_band() -> None:
     assert (bands.coherence > 0.999999).all()
 
 
+@pytest.mark.study
 def test_the_intervals_hold_the_truth_as_often_as_they_say() -> None:
     inside = []
     for seed in range(12):

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -27,8 +28,14 @@ X, V, A = moved()
 LINEAR = np.stack([X, V, np.ones_like(X)], axis=1)
 
 
-def judged(torque: Array, columns: Array = LINEAR) -> LackOfFit:
-    """The test of a least-squares fit of columns (n, p), Kc and Bc first, to a torque (n,)."""
+def judged(torque: Array) -> LackOfFit:
+    """The test of a least-squares fit of LINEAR to a torque (n,); each is made once."""
+    return _judged(torque.tobytes())
+
+
+@cache
+def _judged(read: bytes) -> LackOfFit:
+    torque, columns = np.frombuffer(read), LINEAR
     values = np.linalg.lstsq(columns, torque, rcond=None)[0]
     residuals = torque - columns @ values
     half = 1.96 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * np.var(residuals))
@@ -262,6 +269,7 @@ def test_a_misfit_in_less_than_half_of_the_samples_shows_where_all_others_fit_ex
     assert found.misfit
 
 
+@pytest.mark.study
 def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     torque = WRONG["cubic"] + noise(1)
     columns = np.stack([X + 6.0, V, np.ones_like(X)], axis=1)
@@ -329,6 +337,7 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     assert all(one.Kc is None for one in found.respects)
 
 
+@pytest.mark.study
 def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
     times = 5
     joined = Recorded(

@@ -60,6 +60,7 @@ def test_measurements_a_million_errors_apart_are_pooled_all_the_same() -> None:
     assert between(values, np.full(3, 1e-6)).between == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("count", "ratio"), [(2, 0.0), (2, 3.0), (4, 1.0)])
 def test_the_intervals_cover_with_few_recordings(count: int, ratio: float) -> None:
     """95 % of 100 draws is 95 with a standard deviation of 2.2."""
