@@ -112,13 +112,14 @@ def test_value_exact_optimum_and_interval_agree_whatever_the_joint(
         assert found["Bc"].value > 0.0
 
 
+@pytest.mark.study
 def test_a_skew_of_more_than_a_tick_is_said_to_be_none_of_a_recorder(make_recording: Maker) -> None:
     path = make_recording(samples=1000, change=lambda channels: sweep(channels, 5e-3, 1))
     found = identify([path], parse("linear+skew"), SEARCH)
     assert "skew-implausible" in [one.code for one in found.diagnostics]
 
 
-@pytest.mark.parametrize(("delayed", "rows"), [(True, 4000), (False, 465)])
+@pytest.mark.parametrize(("delayed", "rows"), [pytest.param(True, 4000, marks=pytest.mark.study), (False, 465)])
 def test_a_named_skew_that_no_recorder_has_is_an_error_where_another_cause_explains_the_torque_as_well(
     make_recording: Maker, delayed: bool, rows: int
 ) -> None:
@@ -186,6 +187,7 @@ def test_a_skew_that_chance_may_have_made_leaves_the_damping_without_it_in_the_i
     assert low < without < high
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("form", ["capstan", "backlash"])
 def test_averages_are_held_against_the_values_of_the_fit_whatever_its_columns_depend_on(
     make_recording: Maker, form: str
@@ -397,7 +399,7 @@ def test_a_joint_that_its_friction_would_drive_is_none(friction: float, added: t
     assert found.is_possible is possible
 
 
-@pytest.mark.parametrize(("size", "delay"), [(2e-4, 6e-4), (2e-4, 0.0), (2e-6, 1e-4)])
+@pytest.mark.parametrize(("size", "delay"), [(2e-4, 6e-4), (2e-6, 1e-4)])
 def test_a_late_reading_has_the_odds_of_the_integral_over_all_skews(
     make_recording: Maker, size: float, delay: float
 ) -> None:
@@ -414,7 +416,7 @@ def test_a_late_reading_has_the_odds_of_the_integral_over_all_skews(
     assert larger is not None
     at = larger.names.index("skew")
     found, error = larger.values[at], math.sqrt(larger.sampling.matrix[at, at])
-    skews, odds = np.linspace(-0.05, 0.05, 2_000_001), []
+    skews, odds = np.linspace(-0.05, 0.05, 200_001), []
     for usual, rare in ((2e-4, 1.0), (4e-3, 0.1)):
         density = np.exp(-0.5 * (skews / usual) ** 2) / usual
         odds.append(rare * float(np.sum(density * np.exp(-0.5 * ((skews - found) / error) ** 2))))
@@ -518,7 +520,6 @@ def test_friction_that_falls_is_computed_where_a_linearised_fit_has_no_way_to_bu
 @pytest.mark.parametrize(
     ("name", "nonlinear", "expected"),
     [
-        ("linear+offset+skew", [1e-3], KC * 1e-3 * (1.0 / 33.0) ** 0.5),
         ("linear+offset+maxwell", [0.04], 0.0),
         ("linear+offset+maxwell+skew", [0.04, 1e-3], KC * 1e-3 * (1.0 / 33.0) ** 0.5),
         (

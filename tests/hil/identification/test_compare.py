@@ -127,6 +127,7 @@ def test_recordings_that_agree_more_closely_than_their_errors_are_said_to() -> N
     )
 
 
+@pytest.mark.study
 def test_a_recording_that_cannot_tell_a_parameter_is_left_out_of_it(make_recording: Maker) -> None:
     def still(channels: dict[str, Any]) -> None:
         channels["dtheta"][:] = 0.1

@@ -42,6 +42,7 @@ def recordings(make_recording: Maker) -> list[Path]:
     ]
 
 
+@pytest.mark.study
 def test_on_disk_and_in_memory_give_the_same_answer(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     whole = identified(recordings)
     monkeypatch.setattr(constants, "IN_MEMORY", 1000)

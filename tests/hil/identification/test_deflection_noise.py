@@ -194,6 +194,7 @@ def test_noise_makes_no_skew_and_no_lag_that_are_not_there(tmp_path: Path) -> No
     assert found.model.name == "linear"
 
 
+@pytest.mark.study
 def test_a_stiff_joint_that_moves_by_few_hundred_counts_is_identified(tmp_path: Path) -> None:
     found = recorded(tmp_path / "a.h5", bits=17, peak=0.01, kc=500.0, bc=5.0, torque_noise=1e-2)
     kc, bc = errors(found, 500.0, 5.0)
@@ -215,6 +216,7 @@ def test_large_noise_is_taken_off_by_the_command_and_the_result_says_so(tmp_path
     assert deflection_json(found.deflection)["instrument_strength"] > 0.9
 
 
+@pytest.mark.study
 def test_without_a_command_large_noise_is_simulated(tmp_path: Path) -> None:
     found = recorded(tmp_path / "a.h5", noise=0.03, commanded=False, seed=2)
     assert found.deflection is not None

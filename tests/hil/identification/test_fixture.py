@@ -64,6 +64,7 @@ def test_the_fixture_is_taken_off_the_result_and_named_with_what_it_gave(
     assert "the fixture, Kc 200 mN m/rad and Bc 1 mN m s/rad, is removed" in capfd.readouterr().out
 
 
+@pytest.mark.study
 def test_a_recording_that_cannot_tell_the_fixture_cannot_correct_for_it(
     make_recording: Maker, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -101,6 +102,7 @@ def test_an_uncertain_torque_is_carried_in_once(make_recording: Maker, capfd: py
         assert half == pytest.approx(1.96 * 0.02 * parameter["value"], rel=0.02)
 
 
+@pytest.mark.study
 def test_the_fixture_of_another_stand_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for name in ("joint", "rig"):
         stand = f'[stand]\nname = "{name}"\n'

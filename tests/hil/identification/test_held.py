@@ -115,6 +115,7 @@ def test_with_few_readings_in_a_period_the_interval_of_bc_holds_what_set_points_
     assert not low < BC < high
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("fastest", "command"), [(12.0, "before"), (30.0, "none"), pytest.param(30.0, "with", marks=pytest.mark.study)]
 )

@@ -77,6 +77,7 @@ def against_damping(channels: dict[str, Array]) -> None:
     channels["torque"] += 1e-4 * np.random.default_rng(1).standard_normal(len(channels["time"]))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("named", [True, False])
 def test_model_selection_is_a_remedy_only_where_the_model_was_named(make_recording: Maker, named: bool) -> None:
     found = identify([make_recording(samples=1000, change=against_damping)], parse("linear") if named else None, SEARCH)
@@ -141,6 +142,7 @@ def test_a_damping_seen_at_one_speed_is_not_told_from_dry_friction(make_recordin
     assert "several speeds" in said.message
 
 
+@pytest.mark.study
 def test_a_sine_is_said_to_have_little_but_one_speed(make_recording: Maker) -> None:
     path = make_recording(samples=1000, change=lambda channels: sine(channels, 5.0))
     seen = of_damping(identify([path], parse("linear"), SEARCH))
@@ -283,6 +285,7 @@ def moved_between_two_places(channels: dict[str, Array]) -> None:
     channels["torque"] += 1e-3 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("model", "trusted"), [pytest.param(None, False, marks=pytest.mark.study), ("linear+inertia", True)]
 )
@@ -313,6 +316,7 @@ def behind(constant: float, inertia: float) -> Callable[[dict[str, Array]], None
     return change
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("model", "trusted"), [pytest.param(None, False, marks=pytest.mark.study), ("linear+inertia", True)]
 )
@@ -389,6 +393,7 @@ def test_a_damping_that_is_uncertain_says_by_how_much_and_why(
         assert "Damping shows near" in one.message
 
 
+@pytest.mark.study
 def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording: Maker) -> None:
     paths = [make_recording("a.h5", samples=600, noise=1e-4)]
     paths.append(make_recording("c.h5", samples=600, kc=20.0, bc=0.2, noise=1e-1, seed=2))
@@ -416,6 +421,7 @@ def test_a_recording_that_the_others_do_not_predict_is_an_error_and_no_change_in
     assert found.trusted("Bc")
 
 
+@pytest.mark.study
 def test_no_corner_is_named_where_there_is_none(make_recording: Maker) -> None:
     def nothing(channels: dict[str, Array]) -> None:
         channels["torque"] = 1e-4 * np.random.default_rng(0).standard_normal(len(channels["time"]))
@@ -526,6 +532,7 @@ def test_hysteresis_that_nobody_named_leaves_no_single_stiffness(make_recording:
     assert named["Kc"].ci95[1] - named["Kc"].ci95[0] < 0.01
 
 
+@pytest.mark.study
 def test_friction_that_takes_most_of_the_torque_is_a_reason_to_drive_with_more(make_recording: Maker) -> None:
     def rubs(channels: dict[str, Array]) -> None:
         channels["torque"] += 12e-3 * np.sign(np.gradient(channels["dtheta"]))

@@ -50,6 +50,7 @@ def interrupting() -> Iterator[Callable[[str, float], None]]:
     yield interrupt
 
 
+@pytest.mark.study
 def test_an_interrupted_search_goes_on_to_the_result_of_one_in_one_go(
     make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

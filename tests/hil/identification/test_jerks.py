@@ -171,6 +171,7 @@ def test_samples_beside_steps_that_are_left_out_are_counted_in_a_warning(stepped
     assert f" {np.count_nonzero(~found.fitted)} of {SAMPLES} rows" in warning.message
 
 
+@pytest.mark.study
 def test_a_model_without_an_inertia_is_a_misfit_beside_steps_that_show_one(heavy: Path) -> None:
     """What it lacks of K + i w B - J w^2 is the last part of it."""
     found = identify([heavy], parse("linear+offset+cubic"), SEARCH)

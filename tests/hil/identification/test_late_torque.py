@@ -87,6 +87,7 @@ def test_a_damping_that_another_model_doubts_is_said_with_the_model_that_would_d
     assert "looks like a viscoelastic coupling that relaxes fast" in said[0]
 
 
+@pytest.mark.study
 def test_a_lag_in_slow_motion_takes_the_trust_from_bc_and_not_from_kc(make_recording: Maker) -> None:
     """It lowers Bc by Kc times the lag, and shows in nothing else."""
     omega = 2.0 * np.pi * np.arange(0.25, 1.3, 0.25)

@@ -157,6 +157,7 @@ def test_an_inertia_is_no_skew_that_takes_the_damping(tmp_path: Path, capfd: pyt
     assert low < KC < high
 
 
+@pytest.mark.study
 def test_a_torque_in_few_counts_is_no_misfit(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     stiff = KC * multisine(TIME)[0]  # its rounding repeats with the angle
     path = recording(tmp_path / "a.h5", stiff, count=float(np.ptp(stiff)) / 12.0)
@@ -198,6 +199,7 @@ def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd:
     assert "Kc may be wrong by" in message
 
 
+@pytest.mark.study
 def test_the_advice_adds_the_term_that_explains_the_residuals_to_the_model(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -234,6 +236,7 @@ def test_a_recording_too_short_for_the_test_is_warned_of(tmp_path: Path, capfd: 
     assert "misfit-untested" in [one["code"] for one in found["warnings"]]
 
 
+@pytest.mark.study
 def test_a_joint_that_rests_in_the_held_out_blocks_is_not_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,6 +105,7 @@ def error(found: Signals, model: str, *, of_all: bool) -> float:
     return abs(float(fit(taken).optimum.genes[0]) / KC - 1.0)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("model", "skew"), [("linear+coulomb", 0.0), pytest.param("linear+coulomb+skew", 2e-3, marks=pytest.mark.study)]
 )
@@ -160,6 +161,7 @@ def test_noise_that_hides_which_samples_are_slow_leaves_none_out() -> None:
     assert not choose(model_of("linear+coulomb"), noisy, linear_only=False).sticking
 
 
+@pytest.mark.study
 def test_where_next_to_no_sample_is_fast_none_is_left_out_as_slow() -> None:
     """Six wild rates make all others slow beside them, and no model can be fitted to six samples."""
     motion = recorded(1e-3).motion
@@ -181,7 +183,7 @@ def test_the_passes_of_a_joint_are_counted_through_one_quarter_of_its_range() ->
     assert Motion(time, wandering, none, none, none).passes == 5
 
 
-@pytest.mark.parametrize(("periods", "torque_from"), [(1, "given"), (4, "joint"), (1, "motor")])
+@pytest.mark.parametrize(("periods", "torque_from"), [(4, "joint"), (1, "motor")])
 def test_the_terms_considered_are_those_that_the_motion_can_show_and_the_torque_can_have(
     monkeypatch: pytest.MonkeyPatch, periods: int, torque_from: str
 ) -> None:

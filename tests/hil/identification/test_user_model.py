@@ -60,6 +60,7 @@ def test_one_without_kc_and_bc_that_does_not_describe_the_recording_is_not_trust
     assert not found.trusted("stiff")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("required", "status"), [("Kc", 1), ("both", 0)])
 def test_a_parameter_that_is_required_and_missing_is_not_trusted(
     make_recording: Maker, tmp_path: Path, capfd: pytest.CaptureFixture[str], required: str, status: int
@@ -70,6 +71,7 @@ def test_a_parameter_that_is_required_and_missing_is_not_trusted(
     assert ("has no Kc, which --require asks for" in capfd.readouterr().err) is (status == 1)
 
 
+@pytest.mark.study
 def test_its_validation_error_is_relative_to_the_torque(make_recording: Maker, tmp_path: Path) -> None:
     """The stiffness is 2500 Kc^3, whose linearisation is three times as large: white noise over the torque's RMS."""
     noise, path = 2e-4, make_recording(noise=2e-4, samples=1500)
@@ -123,6 +125,7 @@ def test_the_uncertainty_of_the_torque_is_carried_into_what_scales_with_it(tmp_p
     assert [parameter.scales for parameter in own.nonlinear] == [True, False]
 
 
+@pytest.mark.study
 def test_a_model_without_kc_and_bc_is_identified_and_cannot_be_compared(make_recording: Maker, tmp_path: Path) -> None:
     own = load(written(tmp_path, GOOD.replace("Kc", "k").replace("Bc", "b")))
     paths = [make_recording(f"{seed}.h5", samples=600, noise=1e-4, seed=seed) for seed in range(2)]

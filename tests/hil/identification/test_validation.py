@@ -28,6 +28,7 @@ def slackens_where_held_out(channels: dict[str, Array]) -> None:
     )
 
 
+@pytest.mark.study
 def test_a_place_that_only_held_out_data_show_keeps_its_value(make_recording: Maker) -> None:
     """The other data say where torque and spring meet, but not where the tendon slackens."""
     path = make_recording(samples=3000, change=slackens_where_held_out)
