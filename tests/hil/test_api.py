@@ -45,6 +45,7 @@ def test_a_simulated_run_is_identified_as_the_command_line_does(hil: Hil) -> Non
     assert table == same
 
 
+@pytest.mark.study
 def test_the_parameters_of_the_simulator_are_those_that_were_given(tmp_path: Path) -> None:
     run = api.simulate(tmp_path / "a.h5", sim={"coupling": {"stiffness": 0.03, "damping": 3e-4}}, duration=3.0)
     loaded = run.load()
@@ -185,6 +186,7 @@ def test_results_show_the_answer_first_and_draw_and_write_themselves(make_record
         result["Fc"]
 
 
+@pytest.mark.study
 def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Maker) -> None:
     loaded = api.load(make_recording(noise=2e-4, samples=600))
     of_file = api.identify(loaded, "linear", trials=1)
@@ -308,6 +310,7 @@ def test_a_comparison_is_the_command_lines(hil: Hil, make_recording: Maker) -> N
     assert result.plot().axes
 
 
+@pytest.mark.study
 def test_a_design_says_itself_in_a_line_and_the_best_beats_the_one_given() -> None:
     result = api.design("sim", "multisine", duration=1.0)
     assert "\n" not in str(result)

@@ -157,6 +157,7 @@ def test_a_heartbeat_lost_before_opening_is_no_fault(make_cia402: Make) -> None:
     assert servo.exchange(PUSH).motor_torque > 0.0
 
 
+@pytest.mark.study
 def test_any_fault_is_reset_where_the_stand_file_allows_and_the_drive_does(make_cia402: Make) -> None:
     rig = make_cia402()
     rig.device.fail(FOLLOWING_ERROR)

@@ -267,6 +267,7 @@ def test_turns_are_counted_although_the_servo_does_not(make_rig: Make) -> None:
     assert 0 <= rig.device.get("present_position") < 4096
 
 
+@pytest.mark.study
 def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: Make) -> None:
     rig = make_rig("mx-106")
     rig.bus.devices[0] = soft("mx-106")

@@ -207,6 +207,7 @@ def test_a_host_that_dies_leaves_the_servo_holding_within_its_torque_limit(make_
     assert 0.0 < rig.motor.torque <= 0.006
 
 
+@pytest.mark.study
 def test_a_servo_left_alone_under_overload_reduces_its_torque_by_itself(make_feetech: Make) -> None:
     rig = make_feetech("sts3215")
     rig.device.put("protective_torque", 1)  # %, where the factory sets 20, since the paper's joint is soft

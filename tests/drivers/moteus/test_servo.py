@@ -115,6 +115,7 @@ def test_no_received_bytes_crash_the_decoder() -> None:
         answers(bytes.fromhex("20ffffffff0f00"))
 
 
+@pytest.mark.study
 def test_position_mode_follows_its_set_point_and_rests_there(make_moteus: Make) -> None:
     rig = make_moteus()
     rig.device.console.values["servo.pid_position.kp"] = 100.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ RATE = 500.0
 GENERATED = [kind for kind, record in EXCITATIONS.items() if record.sampler is not None]
 
 
+@cache
 def make(kind: str, **changes: object) -> Profile:
     settings: dict[str, object] = {
         "amplitude": 0.006,

@@ -71,6 +71,7 @@ def at_rest(temperature: float = math.nan) -> list[Sample]:
     return [Sample(0.0, 0.0, temperature=temperature)]
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("amplitude", [0.06, 0.12])
 def test_the_duration_and_the_amplitude_that_are_proposed_fit_and_little_more_does_not(amplitude: float) -> None:
     with pytest.raises(LimitReached) as refused:

@@ -117,6 +117,7 @@ def test_what_must_end_a_run_does_within_its_time(
     assert tick / RATE <= within
 
 
+@pytest.mark.study
 def test_a_frozen_temperature_is_noticed_under_load_only() -> None:
     def frozen(_: int, sample: Sample, joint: AtJoint) -> Reading:
         return replace(sample, temperature=30.0), joint
@@ -128,6 +129,7 @@ def test_a_frozen_temperature_is_noticed_under_load_only() -> None:
     assert ended(frozen, size=0.3, seconds=700.0, rate=20.0) is None
 
 
+@pytest.mark.study
 def test_a_temperature_that_comes_to_its_balance_may_stay_there_and_one_that_stops_in_the_middle_may_not() -> None:
     def warming(until: float, steps: float) -> Change:
         """From 30 degC towards 33.4 with a time constant of 150 s in steps of a sensor, which stops at `until` s."""

@@ -323,6 +323,7 @@ def test_every_row_is_on_disk_before_the_alarm_is_raised(spring: SpringServo, tm
     assert (tmp_path / "a.h5").exists()
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("rate", [49.0, 1000.0])
 def test_a_kill_at_any_instant_costs_at_most_twenty_milliseconds_of_rows(
     spring: SpringServo, tmp_path: Path, rate: float
@@ -583,6 +584,7 @@ def test_recorders_that_start_at_once_use_different_names(
 # --- lateness --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("late", [(5, 1, "error"), (20, 0, "warning")])
 def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
     spring: SpringServo,
@@ -616,6 +618,7 @@ def test_a_rate_no_drive_or_not_this_one_can_keep_is_wrong_use(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.study
 def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -627,6 +630,7 @@ def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted(
         assert len(recording) == 2001
 
 
+@pytest.mark.study
 def test_the_lowest_rate_keeps_a_watchdog_of_a_tenth_of_a_second_quiet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -157,6 +157,7 @@ def test_recordings_of_a_real_joint_wait_for_it_to_cool_down(plan: Path, monkeyp
     assert waits == [60.0, 60.0]
 
 
+@pytest.mark.study
 def test_a_recording_that_the_heat_budget_refuses_is_made_after_the_rest_that_it_needs(
     plan: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -247,6 +248,7 @@ def test_two_joints_of_one_name_are_refused(plan: Path) -> None:
         load(plan)
 
 
+@pytest.mark.study
 def test_a_recording_of_other_settings_is_refused(hil: Hil, plan: Path) -> None:
     once = PLAN.replace("repeats = 2", "repeats = 1").partition('[[joint]]\nname = "stiff"')[0]
     plan.write_text(once)

@@ -89,6 +89,7 @@ def test_no_command_overwrites_what_it_reads(hil: Hil, make_recording: Maker) ->
     assert {path: path.read_bytes() for path in before} == before
 
 
+@pytest.mark.study
 def test_the_file_of_a_report_is_looked_at_before_any_work(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +101,7 @@ def test_the_file_of_a_report_is_looked_at_before_any_work(
     assert hil("identify", make_recording(), "--report", "q.png")[0] == 2
 
 
+@pytest.mark.study
 def test_a_report_does_not_replace_a_file_that_appears_while_it_is_made(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,12 +159,14 @@ def test_what_cannot_be_done_is_wrong_use_and_no_fault_of_hils(hil: Hil, make_re
         assert sorted(Path().iterdir()) == before, words
 
 
+@pytest.mark.study
 def test_the_largest_seed_is_kept(hil: Hil) -> None:
     assert hil(*SIM, "--seed", 2**63 - 1, "-o", "a.h5")[0] == 0
     with h5py.File("a.h5") as file:
         assert file.attrs["seed"] == 2**63 - 1
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("damaged_files")
 def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -> None:
     """Bytes anywhere, most of them metadata; the samples have their checksums. Never a fault of hil's."""
@@ -181,6 +185,7 @@ def test_damaged_files_are_said_to_be_damaged(hil: Hil, make_recording: Maker) -
     assert {0, 2} <= seen <= {0, 1, 2}
 
 
+@pytest.mark.study
 def test_a_stiff_simulated_stand_is_said_to_be_slow(hil: Hil) -> None:
     text = (
         '[stand]\nbackend = "sim"\ngear_ratio = 4.0\n[limits]\ntorque = 0.03\ndeflection = 1\nvelocity = 100\n'
@@ -196,6 +201,7 @@ def test_a_stiff_simulated_stand_is_said_to_be_slow(hil: Hil) -> None:
 # --- what is shown ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_a_name_is_shown_as_it_is(hil: Hil) -> None:
     assert hil(*SIM, "-o", "[red]a.h5")[0] == 0
     assert "[red]a.h5: chirp, done" in hil("inspect", "[red]a.h5")[1]
@@ -248,6 +254,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(make_recording: Maker) -> Non
         assert (process.wait(), err) == (0, b"")
 
 
+@pytest.mark.study
 def test_a_multisine_of_many_lines_keeps_to_its_amplitude(hil: Hil) -> None:
     """4 to 400 Hz over 20 s has some 8000 lines."""
     words = ("--profile", "multisine", "--band", "4:375", "--rate", "1500", "--amplitude", "0.006")

@@ -237,6 +237,7 @@ def test_an_empty_rig_is_identified_stored_and_used_by_the_name_of_the_stand_fil
     assert "is not the recording" in capfd.readouterr().err
 
 
+@pytest.mark.study
 def test_a_recording_carries_its_calibrations_and_warns_of_an_old_one(
     make_recording: Maker, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -377,6 +377,7 @@ def test_an_empty_or_one_sample_file_is_not_to_be_trusted(hil: Hil, make_recordi
     assert no_trace(ended)
 
 
+@pytest.mark.study
 def test_rows_with_a_nan_are_dropped_counted_and_said(hil: Hil, make_recording: Maker) -> None:
     def spoil(channels: dict[str, Array]) -> None:
         channels["torque"][510:517] = np.nan
@@ -536,7 +537,7 @@ def test_the_profiles_are_explained(hil: Hil) -> None:
     ],
 )
 def test_every_profile_records(hil: Hil, tmp_path: Path, kind: str, quantity: str) -> None:
-    (tmp_path / "set.csv").write_text("0,0\n0.5,0.004\n1,0\n")
-    words = ("--setpoints", "set.csv") if kind == "file" else ("--duration", "1")
+    (tmp_path / "set.csv").write_text("0,0\n0.2,0.004\n0.4,0\n")
+    words = ("--setpoints", "set.csv") if kind == "file" else ("--duration", "0.4")
     ended = hil("record", "--backend", "sim", "--profile", kind, "--mode", quantity, *words, "--json")
-    assert (ended.status, ended.json["samples"], ended.json["end_reason"]) == (0, 501, "done")
+    assert (ended.status, ended.json["samples"], ended.json["end_reason"]) == (0, 201, "done")

@@ -85,6 +85,7 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
     assert kc == pytest.approx(17.75e-3, rel=0.1)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "scale", "table"),
     [
@@ -243,6 +244,7 @@ def test_what_an_emulator_raises_is_told_in_a_sentence(options: dict[str, object
         make("drive", options)
 
 
+@pytest.mark.study
 def test_a_run_in_real_time_ends_with_the_lateness_of_its_set_points(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, busy_machine: None
 ) -> None:

@@ -64,6 +64,7 @@ def test_one_impossible_number_is_left_out_and_said_so(hil: Hil, make_recording:
     assert "1 of 1000 rows hold no number, or one beyond 1e+12" in ended.err
 
 
+@pytest.mark.study
 def test_a_gap_of_thirty_years_is_a_gap(hil: Hil, make_recording: Maker) -> None:
     def change(channels: dict[str, Array]) -> None:
         channels["time"][1000:] += 1e9

@@ -192,6 +192,7 @@ def test_a_link_that_loses_many_replies_is_an_error(make_rig: Callable[..., Any]
     assert "40 lost" in message(checks, "bus")
 
 
+@pytest.mark.study
 def test_a_link_that_is_too_slow_is_a_warning_with_the_rate_it_reaches(
     make_rig: Callable[..., Any], examine_rig: Examine
 ) -> None:
@@ -224,6 +225,7 @@ def test_a_signal_in_the_middle_of_the_jog_leaves_the_torque_off(
     assert not rig.device.torque_on
 
 
+@pytest.mark.study
 def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., Any]) -> None:
     rig = make_rig(baudrate=57600, ident=7)
     rig.bus.devices.append(DynamixelDevice("xm430-w350", 9, baudrate=57600))

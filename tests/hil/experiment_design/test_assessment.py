@@ -129,6 +129,7 @@ def test_the_errors_of_auto_are_at_least_those_of_every_model_it_considers() -> 
         assert all(auto[parameter.name].error >= 0.999 * parameter.error for parameter in one.parameters)
 
 
+@pytest.mark.study
 def test_a_tighter_limit_is_the_one_that_limits() -> None:
     for name, before, after in (
         ("deflection", "deflection = 1.0", "deflection = 0.1"),
@@ -137,6 +138,7 @@ def test_a_tighter_limit_is_the_one_that_limits() -> None:
         assert best(task(text=SIMULATED.replace(before, after)), 0.5).limited_by in {name, f"drive {name}"}
 
 
+@pytest.mark.study
 def test_the_command_it_prints_records_without_passing_a_limit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -38,6 +38,7 @@ def test_friction_that_grows_with_the_load_in_one_slow_ramp_is_refused(tmp_path:
         refuse_slow_ramp(ramp(tmp_path / "a.h5", 0.5, 0.55, 20.0))
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("friction", "growing", "seconds"), [(5.0, 0.0, 20.0)])
 def test_a_ramp_with_friction_that_is_constant_or_a_fast_ramp_is_not(
     tmp_path: Path, friction: float, growing: float, seconds: float

@@ -171,6 +171,7 @@ def test_a_run_does_without_a_viewer_that_cannot_be_started(tmp_path: Path, monk
         pass
 
 
+@pytest.mark.study
 def test_the_viewer_ends_when_the_recorder_closes_it(tmp_path: Path) -> None:
     with RecordingWriter(tmp_path / "a.h5", Header(profile={"duration": 4.0}), 10) as part:
         words = command("hil.live.viewer", str(part.path), "-1", "0", "utf-8", "")

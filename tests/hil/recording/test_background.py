@@ -133,6 +133,7 @@ def test_the_death_of_the_writing_process_ends_the_run_and_costs_no_row(tmp_path
         assert whole(writer.finish("killed"), rows)
 
 
+@pytest.mark.study
 def test_a_disk_that_hangs_ends_the_run_when_the_memory_is_half_full_and_costs_no_row(tmp_path: Path) -> None:
     with started(tmp_path) as writer:
         os.kill(pid(writer), signal.SIGSTOP)

@@ -68,13 +68,15 @@ def killing(monkeypatch: pytest.MonkeyPatch, at: int, *, after: bool) -> None:
         monkeypatch.setattr(writer_module, name, fatal(getattr(writer_module, name)))
 
 
-@pytest.mark.parametrize("after", [False, pytest.param(True, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    ("after", "step"), [(False, 2), *(pytest.param(after, 1, marks=pytest.mark.study) for after in (False, True))]
+)
 def test_a_kill_at_any_call_of_the_start_leaves_a_whole_part_or_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, after: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int, *, after: bool
 ) -> None:
     monkeypatch.setattr(writer_module, "_software", dict)
     seen = set()
-    for at in count(1):
+    for at in count(1, step):
         folder = tmp_path / str(at)
         folder.mkdir()
         with monkeypatch.context() as patch:
@@ -148,6 +150,7 @@ def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_pa
         assert len(recording) == 0
 
 
+@pytest.mark.study
 def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
     part = RecordingWriter(tmp_path / "a.h5", HEADER, 35, batch=1)
     for rows in range(36):
@@ -160,6 +163,7 @@ def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
     part.close()
 
 
+@pytest.mark.study
 def test_a_recording_of_few_rows_is_looked_at_or_refused_in_a_sentence(tmp_path: Path) -> None:
     header = Header(profile={"kind": "sine", "mode": "torque", "rate": 500.0}, stand_toml=SIMULATED)
     part = RecordingWriter(tmp_path / "a.h5", header, 70, batch=1)

@@ -47,6 +47,7 @@ def test_missed_ticks_are_counted_and_have_no_lateness() -> None:
     assert lateness.attributes()["lateness_max"] == pytest.approx(1e-5)
 
 
+@pytest.mark.study
 def test_in_virtual_time_nothing_is_late_and_a_table_has_no_lateness(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

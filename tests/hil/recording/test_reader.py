@@ -697,6 +697,7 @@ def _large_chunks(path: Path) -> None:
         file["samples"].create_dataset("torque", (5,), "<f8", chunks=(2**27,), maxshape=(None,), compression="gzip")
 
 
+@pytest.mark.study
 @pytest.mark.usefixtures("damaged_files")
 @pytest.mark.parametrize(
     ("spoil", "expected"),

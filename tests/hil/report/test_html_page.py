@@ -204,6 +204,7 @@ def test_a_recording_without_a_row_has_a_report_too(hil: Hil, tmp_path: Path) ->
     assert "Nothing could be identified" in Path("r.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.study
 def test_the_pictures_are_written_into_a_folder_and_one_that_is_there_is_kept(
     hil: Hil, make_recording: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

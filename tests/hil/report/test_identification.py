@@ -140,6 +140,7 @@ def test_the_picture_shows_the_torque_the_model_and_the_residuals(found: Identif
         np.testing.assert_allclose(shown, np.column_stack([x, y * 1e3]), atol=1e-12)
 
 
+@pytest.mark.study
 def test_pooled_recordings_are_not_joined_by_a_line(make_recording: Maker) -> None:
     paths = [make_recording(f"{seed}.h5", samples=400, noise=2e-4, seed=seed) for seed in range(2)]
     result = identify(paths, parse("linear"), Search(trials=1, seed=0, workers=1))

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from hil.diagnostics import Diagnostic
 from hil.identification.result import Identification
@@ -48,6 +49,7 @@ def test_a_recording_that_went_wrong_chooses_neither_unit_nor_axis_and_is_marked
         assert len(panel.lines[0].x) == len(chart(entries[:1]).panels[0].lines[0].x)
 
 
+@pytest.mark.study
 def test_the_command_joins_recordings_and_says_which_has_no_result(hil: Hil, tmp_path: Path) -> None:
     recording(tmp_path / "a.h5", samples=800)
     time = np.arange(100) / 500.0

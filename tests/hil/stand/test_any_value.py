@@ -175,6 +175,7 @@ def drive(stand: Stand, servo: Servo) -> None:
         assert not math.isinf(sample.motor_torque)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("first", "count"), [(0, 150), pytest.param(10_000, 8_000, marks=pytest.mark.study)], ids=["quick", "study"]
 )

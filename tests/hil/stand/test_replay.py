@@ -57,6 +57,7 @@ def test_a_recording_that_was_changed_is_not_played_back(
     assert not (tmp_path / "again.h5").exists()
 
 
+@pytest.mark.study
 def test_a_recording_of_a_recording_holds_the_same_readings(tmp_path: Path, recorded: Path) -> None:
     stand = replay(tmp_path / "stand.toml", recorded)
     again = tmp_path / "again.h5"

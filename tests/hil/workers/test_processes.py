@@ -93,6 +93,7 @@ def test_a_process_that_dies_costs_its_task_a_retry(tmp_path: Path, monkeypatch:
         assert [future.result() for future in [on.submit(run, mark) for mark in marks]] == marks
 
 
+@pytest.mark.study
 def test_a_task_that_always_kills_its_process_is_given_up() -> None:
     with processes(1) as on, pytest.raises(WrongUse, match="3 processes died"):
         on.submit(os.abort).result()
