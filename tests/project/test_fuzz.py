@@ -33,6 +33,7 @@ NAMES = (
 )  # fmt: skip
 
 
+@pytest.mark.study
 def test_every_parser_is_fed(parsers: Any) -> None:
     assert tuple(parsers.PARSERS) == NAMES
 
@@ -56,6 +57,7 @@ def changed(draw: st.DrawFn, seeds: tuple[bytes, ...], *, is_text: bool) -> byte
     return bytes(data) + (draw(st.sampled_from(seeds)) if draw(st.integers(0, 3)) == 0 else b"")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())

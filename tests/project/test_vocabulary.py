@@ -26,8 +26,8 @@ REPLACED = {
     r"\bfindings?\b": "warning, error",
     r"(?m)^\s*(note|problem) \[": "warning, error",
     r"--soft\b|--quantity\b|--picture\b": "--fade, --mode, --report",
-    r"\bBc \?": "Bc (not identifiable)",
-    r'"""(What is to be|The same with)': "Return the ...",
+    r"\bbc \?": "Bc (not identifiable)",
+    r'"""(what is to be|the same with)': "Return the ...",
 }
 EXCEPTIONS = {
     ("tests/project/test_vocabulary.py", ""),
@@ -40,7 +40,9 @@ EXCEPTIONS = {
 
 @cache
 def texts() -> list[tuple[str, str]]:
-    """Every module and page by its name: the packages from where they are installed, the rest from beside the tests."""
+    """Every module and page by its name, in lower case: the packages from where they are installed, the
+    rest from beside the tests.
+    """
     spec = find_spec("hil")
     assert spec is not None
     assert spec.origin is not None
@@ -51,7 +53,7 @@ def texts() -> list[tuple[str, str]]:
     ]
     found += [(ROOT, ROOT / "README.md"), (ROOT, ROOT / "CONTRIBUTING.md")]
     assert len(found) > 400
-    return [(str(path.relative_to(root)), path.read_text(encoding="utf-8")) for root, path in sorted(found)]
+    return [(str(path.relative_to(root)), path.read_text(encoding="utf-8").lower()) for root, path in sorted(found)]
 
 
 @pytest.mark.parametrize("pattern", REPLACED)
@@ -59,7 +61,7 @@ def test_a_word_that_was_replaced_is_not_used_again(pattern: str) -> None:
     used = [
         f"{name}:{text.count(chr(10), 0, found.start()) + 1}: {found[0].strip()}: {REPLACED[pattern]}"
         for name, text in texts()
-        for found in re.finditer(pattern, text, re.IGNORECASE)
+        for found in re.finditer(pattern, text)
         if not {(name, ""), (name, found[0].strip())} & EXCEPTIONS
     ]
     assert used == []
