@@ -340,7 +340,7 @@ def test_a_key_that_overtakes_the_start_stops_the_run_that_then_begins(opened: O
     states: list[Callable[[], None]] = []
 
     def streamed(end: Any) -> None:
-        end.connect_to_server().on_message(lambda told: states.append(partial(end.send, told)))
+        end.connect_to_server().on_message(lambda sent: states.append(partial(end.send, sent)))
 
     with studio(tmp_path) as (link, _):
         page = opened(link)
