@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import re
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.util import find_spec
@@ -16,17 +15,13 @@ PACKAGES = ("hil", "ga", "drivers", "sim_backend")
 class Module:
     """Facts of one module.
 
-    imports: the modules that it imports; private: names with an underscore that it imports. functions: lines of each,
-    by its first line and name. prints_or_exits: the lines that do. codes: of its diagnostics. named: numbers in
-    assignments at the top level; decides: those that are no plain ones; unnamed: in functions, but no plain ones, no
-    index, no exponent.
+    functions: lines of each, by its first line and name. codes: of its diagnostics. named: numbers in assignments at
+    the top level; decides: those that are no plain ones; unnamed: in functions, but no plain ones, no index, no
+    exponent.
     """
 
     lines: int
-    imports: set[str] = field(default_factory=set)
-    private: list[str] = field(default_factory=list)
     functions: dict[str, int] = field(default_factory=dict)
-    prints_or_exits: list[int] = field(default_factory=list)
     codes: set[str] = field(default_factory=set)
     named: int = 0
     decides: list[object] = field(default_factory=list)
@@ -43,10 +38,16 @@ def root() -> Path:
 
 
 @cache
-def modules() -> dict[str, Module]:
-    """The modules by their path from `root`."""
+def texts() -> dict[str, str]:
+    """The text of each module by its path from `root`."""
     paths = [path for package in PACKAGES for path in sorted((root() / package).rglob("*.py"))]
-    return {path.relative_to(root()).as_posix(): _read(path.read_text(encoding="utf-8")) for path in paths}
+    return {path.relative_to(root()).as_posix(): path.read_text(encoding="utf-8") for path in paths}
+
+
+@cache
+def modules() -> dict[str, Module]:
+    """The modules by their path from `root`; it takes 2 s."""
+    return {path: _read(text) for path, text in texts().items()}
 
 
 def _read(text: str) -> Module:
@@ -55,18 +56,11 @@ def _read(text: str) -> Module:
     in_functions: set[ast.Constant] = set()
     for node in ast.walk(tree):
         match node:
-            case ast.Import():
-                module.imports |= {alias.name for alias in node.names}
-            case ast.ImportFrom():
-                module.imports |= {node.module or ""}
-                module.private += [alias.name for alias in node.names if re.match("_[^_]", alias.name)]
             case ast.FunctionDef() | ast.AsyncFunctionDef():
                 module.functions[f"{node.lineno} {node.name}"] = (node.end_lineno or 0) - node.lineno + 1
                 in_functions.update(number for statement in node.body for number in _numbers(statement))
             case ast.Subscript(slice=part) | ast.BinOp(op=ast.Pow(), right=part):
                 clear.update(_numbers(part))
-            case ast.Attribute(attr="exit" | "_exit") | ast.Call(func=ast.Name(id="print" | "exit" | "quit")):
-                module.prints_or_exits.append(node.lineno)
             case ast.Call(func=ast.Name(id="Diagnostic"), args=[ast.Constant(value=code), *_]):
                 module.codes.add(str(code))
     assigned = [s.value for s in tree.body if isinstance(s, ast.Assign | ast.AnnAssign) and s.value is not None]
