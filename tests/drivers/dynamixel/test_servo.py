@@ -33,7 +33,12 @@ def drive(rig: Rig, servo: Any, command: Command, ticks: int = 20) -> Sample:
     return sample
 
 
-@pytest.mark.parametrize("model", sorted(models()))
+QUICK = {"mx-64", "mx-64-2", "xl330-m288", "xl430-w250"}  # both protocols, with and without a sensor of current
+
+
+@pytest.mark.parametrize(
+    "model", [pytest.param(one, marks=() if one in QUICK else pytest.mark.study) for one in sorted(models())]
+)
 def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: Limits, model: str) -> None:
     rig = make_rig(model)
     servo = rig.open()
@@ -48,16 +53,15 @@ def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: L
     assert rig.port.closed
 
 
-@pytest.mark.parametrize("model", sorted(MODELS))
-def test_driver_and_emulator_agree_about_each_servo(model: str) -> None:
-    ours, theirs = models()[model], MODELS[model]
-    items = {item.name: item for item in theirs.items}
-    assert (ours.number, ours.current_lsb) == (theirs.number, theirs.current_lsb)
-    assert ours.velocity_max == items["velocity_limit"].high
-    assert ours.temperature_max == items["temperature_limit"].initial
-    if ours.current_lsb:
-        assert ours.current_max == items["current_limit"].high
-        assert theirs.stall in ours.stall
+def test_driver_and_emulator_agree_about_each_servo() -> None:
+    for model, theirs in MODELS.items():
+        ours, items = models()[model], {item.name: item for item in theirs.items}
+        assert (ours.number, ours.current_lsb) == (theirs.number, theirs.current_lsb), model
+        assert ours.velocity_max == items["velocity_limit"].high, model
+        assert ours.temperature_max == items["temperature_limit"].initial, model
+        if ours.current_lsb:
+            assert ours.current_max == items["current_limit"].high, model
+            assert theirs.stall in ours.stall, model
 
 
 @pytest.mark.parametrize(("model", "printed"), [("xm540-w270", 2.378), ("xm540-w150", 1.640)])

@@ -188,10 +188,10 @@ TestRuns = Runs.TestCase
 TestRuns.settings = settings(max_examples=25, stateful_step_count=12, suppress_health_check=list(HealthCheck))
 
 
-@pytest.mark.parametrize(("before", "after"), [(a, b) for a in Phase for b in Phase if b not in FOLLOWS[a]])
-def test_a_phase_that_cannot_follow_is_refused(before: Phase, after: Phase) -> None:
-    phases = Phases()
-    phases.now = before
-    with pytest.raises(ValueError, match=f"from {before} to {after}"):
-        phases.enter(after, 0.0)
-    assert phases.now is before
+def test_a_phase_that_cannot_follow_is_refused() -> None:
+    for before, after in [(a, b) for a in Phase for b in Phase if b not in FOLLOWS[a]]:
+        phases = Phases()
+        phases.now = before
+        with pytest.raises(ValueError, match=f"from {before} to {after}"):
+            phases.enter(after, 0.0)
+        assert phases.now is before

@@ -6,6 +6,7 @@ import gzip
 import os
 import re
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from hil.cli.app import run
+from hil.cli.record import record as record_command
 from hil.recording.channels import Row
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, RecordingWriter
@@ -238,7 +240,11 @@ def test_motor_torque_under_a_position_loop_is_warned_of_and_not_trusted(
     assert (abs(off) > 0.5) == warned  # why it is said
 
 
-def test_the_demo_runs_the_main_job_and_says_where_the_files_are(hil: Hil, tmp_path: Path) -> None:
+def test_the_demo_runs_the_main_job_and_says_where_the_files_are(
+    hil: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a quarter of its time; the README's commands are run as they stand as a study."""
+    monkeypatch.setattr("hil.cli.demo.record", partial(record_command, duration=5.0))
     ended = hil("demo")
     assert ended.status == 0
     for name in ("run1.h5", "run1.html"):

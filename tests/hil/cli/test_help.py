@@ -33,16 +33,14 @@ def test_every_command_has_an_example_and_no_other_has() -> None:
     assert set(EXAMPLES) == set(COMMANDS)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_the_help_of_a_command_shows_its_examples_whole(hil: Hil, name: str) -> None:
-    shown = hil(*name.split(), "--help").out
-    for example in EXAMPLES[name]:
-        assert f"  {example}\n" in f"{shown}\n"
+def test_the_help_of_a_command_shows_its_examples_whole(hil: Hil) -> None:
+    for name in COMMANDS:
+        shown = hil(*name.split(), "--help").out
+        assert [example for example in EXAMPLES[name] if f"  {example}\n" not in f"{shown}\n"] == []
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_an_example_is_a_command_with_options_that_exist(name: str) -> None:
-    for example in EXAMPLES[name]:
+def test_an_example_is_a_command_with_options_that_exist() -> None:
+    for name, example in [(one, example) for one in COMMANDS for example in EXAMPLES[one]]:
         words = shlex.split(example)
         assert words[: 1 + len(name.split())] == ["hil", *name.split()]
         context = COMMANDS[name].make_context(name, words[1 + len(name.split()) :])

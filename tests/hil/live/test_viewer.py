@@ -11,6 +11,7 @@ import subprocess
 import sys
 import termios
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -103,19 +104,18 @@ def test_eighty_columns_show_traces_loop_margins_and_preliminary_estimates() -> 
         assert part in text
 
 
-@pytest.mark.parametrize("low", [-6.3, 16.51, 7.31, 0.0, -2e5])
-@pytest.mark.parametrize("width", [0.0, 0.07, 12.6, 999.0])
 @pytest.mark.parametrize(("cells", "apart"), [(3, 1), (6, 2), (40, 8), (57, 12)])
-def test_the_ticks_of_an_axis_are_round_and_evenly_spaced(low: float, width: float, cells: int, apart: int) -> None:
-    found = axis(low, low + width, cells, apart)
-    assert found is not None
-    start, end = found.ends
-    places = (np.array(found.ticks) - start) / (end - start) * (cells - 1)
-    assert start - 1e-9 <= low <= low + width <= end + 1e-9
-    assert places == pytest.approx(np.round(places), abs=1e-6)
-    assert np.ptp(np.diff(places)) == pytest.approx(0.0, abs=1e-6)
-    assert [float(text) for text in found.texts] == pytest.approx(found.ticks)
-    assert len(set(found.texts)) > 1
+def test_the_ticks_of_an_axis_are_round_and_evenly_spaced(cells: int, apart: int) -> None:
+    for low, width in product((-6.3, 16.51, 7.31, 0.0, -2e5), (0.0, 0.07, 12.6, 999.0)):
+        found = axis(low, low + width, cells, apart)
+        assert found is not None
+        start, end = found.ends
+        places = (np.array(found.ticks) - start) / (end - start) * (cells - 1)
+        assert start - 1e-9 <= low <= low + width <= end + 1e-9
+        assert places == pytest.approx(np.round(places), abs=1e-6)
+        assert np.ptp(np.diff(places)) == pytest.approx(0.0, abs=1e-6)
+        assert [float(text) for text in found.texts] == pytest.approx(found.ticks)
+        assert len(set(found.texts)) > 1
 
 
 @pytest.mark.parametrize("written", [0, 1])

@@ -9,7 +9,7 @@ import pytest
 
 from hil.errors import WrongUse
 from hil.stand.fault_file import load_plan
-from sim_backend.fault_plan import KINDS, Kind, PlannedFault
+from sim_backend.fault_plan import KINDS, PlannedFault
 
 
 def loaded(folder: Path, text: str) -> frozenset[str]:
@@ -50,10 +50,11 @@ def test_what_is_wrong_is_said_with_its_line_and_key(tmp_path: Path, text: str, 
         loaded(tmp_path, text)
 
 
-@pytest.mark.parametrize(("name", "kind"), KINDS.items())
-def test_a_kind_takes_its_own_default_and_no_size_beyond_its_range(name: str, kind: Kind) -> None:
-    assert math.isfinite(kind.default) == math.isfinite(kind.lowest) == math.isfinite(kind.highest) == bool(kind.size)
-    kind.check(kind.default)
-    for size in (kind.lowest - 1.0, kind.highest + 1.0, -math.inf, math.inf):
-        with pytest.raises(ValueError, match="size"):
-            PlannedFault(name, at=1.0, size=size)
+def test_a_kind_takes_its_own_default_and_no_size_beyond_its_range() -> None:
+    for name, kind in KINDS.items():
+        ends = (kind.default, kind.lowest, kind.highest)
+        assert [math.isfinite(one) for one in ends] == [bool(kind.size)] * 3, name
+        kind.check(kind.default)
+        for size in (kind.lowest - 1.0, kind.highest + 1.0, -math.inf, math.inf):
+            with pytest.raises(ValueError, match="size"):
+                PlannedFault(name, at=1.0, size=size)
