@@ -26,7 +26,6 @@ from .conftest import (
     new_rig,
     odrive_rig,
     robstride_rig,
-    sampled,
 )
 
 RIGS: dict[str, tuple[Callable[[], Any], Limits]] = {
@@ -45,12 +44,12 @@ RIGS: dict[str, tuple[Callable[[], Any], Limits]] = {
 REPLIES, LOST = 1000, 0.02
 
 
-@sampled(10)
+@pytest.mark.study
 @pytest.mark.parametrize("name", RIGS)
-def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: str, nth: int) -> None:
+def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: str) -> None:
     make, limits = RIGS[name]
     rng, lost = np.random.default_rng(0), 0
-    while lost < 20 // nth:
+    while lost < 20:
         rig = make()
         drops = np.flatnonzero(rng.random(REPLIES) < LOST)
         for reply in drops:
