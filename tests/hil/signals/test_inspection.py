@@ -40,7 +40,7 @@ def said(**changes: Any) -> dict[str, bool]:
     return {one.code: one.is_error for one in found}
 
 
-TOLD = [
+LIMITS_OF_WARNINGS = [
     ("saturated", 20, "saturated", None),
     ("saturated", 21, "saturated", False),
     ("late", 20, "many-late", None),
@@ -71,7 +71,7 @@ TOLD = [
 
 def test_what_is_wrong_with_a_recording_is_told_from_a_share_on() -> None:
     assert said() == {}
-    for name, value, code, is_error in TOLD:
+    for name, value, code, is_error in LIMITS_OF_WARNINGS:
         assert said(**{name: value}) == ({} if is_error is None else {code: is_error}), (name, value)
 
 
