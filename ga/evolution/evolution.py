@@ -16,7 +16,7 @@ from ga.evolution.generational import family_of, generational
 from ga.evolution.generator import seeded
 from ga.evolution.population import Population, Record, Rules, scatter, scatter_around, unrecorded
 from ga.evolution.steady_state import steady_state, tangents_of
-from ga.fitness.engine import Engine, columns_of, errors_of, parts
+from ga.fitness.engine import Engine, columns_of, evaluate, parts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -177,7 +177,7 @@ def begin(
         scatter(rules, population)
     else:
         scatter_around(rules, start, population)
-    errors_of(*parts(engine), population.genes, population.fitness)
+    population.fitness[:] = [evaluate(engine, genes) for genes in population.genes]
     best = int(population.fitness.argmin())
     population.best[:], population.best_fitness[0] = population.genes[best], population.fitness[best]
     population.progress[1] = population.fitness.size

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from ga.compiled import compiled_no_refcount, compiled_within
+from ga.compiled import compiled_within
 from ga.fitness.cell_tree import tree_error, tree_tangent
 from ga.fitness.cells import Tree, another, grow
 from ga.fitness.dense import Samples, collapse, dense_error, dense_tangent, pack, shared
@@ -89,15 +89,6 @@ def tangent_of(
     return np.nan
 
 
-@compiled_no_refcount
-def errors_of(
-    samples: Samples | None, tree: Tree | None, genes: NDArray[np.float64], errors: NDArray[np.float64]
-) -> None:
-    """Compute equation 5 for chromosomes (m, p), N m, and write the results to `errors` (m,)."""
-    for i in range(errors.size):
-        errors[i] = error_of(samples, tree, genes[i], np.inf)
-
-
 def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
     """Return (samples, None) or (None, tree), as the compiled loops take the engine."""
     return (engine, None) if isinstance(engine, Samples) else (None, engine)
@@ -110,6 +101,5 @@ def columns_of(engine: Engine) -> int:
 
 def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:
     """Return the fitness, N m, of one chromosome (p,)."""
-    error = np.empty(1)
-    errors_of(*parts(engine), np.ascontiguousarray(genes)[None], error)
-    return float(error[0])
+    genes = np.ascontiguousarray(genes)
+    return dense_error(engine, genes, np.inf) if isinstance(engine, Samples) else tree_error(engine, genes, np.inf)
