@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
+from math import prod
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -44,12 +45,13 @@ _AGREED: the precision of Bc/Kc at which contact and fit agree.
 
 _ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
 
+_STARTS: Final = 300
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
-"""_STEPS: the largest number of steps of a descent. _HALVINGS: how often a step is shortened. _CONVERGED: a descent has
-converged when a step gains less than this fraction of the fitness and is shorter than this fraction of the bounds'
-width.
+"""_STARTS: the largest number of starting values. _STEPS: that of steps of a descent. _HALVINGS: how often a step is
+shortened. _CONVERGED: a descent ends when a step gains less than this fraction of the fitness, or is shorter than this
+fraction of the bounds' width.
 """
 
 _NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begin at, or to be compared
@@ -165,10 +167,10 @@ class Problem:
         """Return the problem on about `rows` samples, evenly spaced; a part of all would compute everything twice."""
         return self.of(slice(None, None, every)) if (every := len(self.torque) // rows) > 1 else self
 
-    def sketched(self) -> Problem:
-        """Return the problem on a few samples of a coarser motion, which is enough to find a starting point."""
-        motion, rows = self.motion.coarser(FEW)
-        return replace(self, motion=motion, torque=self.torque[rows]).thinned(FEW)
+    def sketched(self, rows: int = ENOUGH) -> Problem:
+        """Return the problem on about `rows` samples of a coarser motion, enough to find a starting point."""
+        motion, kept = self.motion.coarser(rows)
+        return replace(self, motion=motion, torque=self.torque[kept]).thinned(rows)
 
     def residuals(self, fit: Fit) -> Array:
         """Return the residuals of the fit, (n,) N m."""
@@ -197,7 +199,7 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
     """
     if not problem.low.size:
         return problem.solve(problem.low)
-    return local_minimum(problem, best_start(problem.thinned(), near).nonlinear, near)
+    return local_minimum(problem, best_start(problem.sketched(), near).nonlinear, near)
 
 
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
@@ -239,7 +241,7 @@ def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Itera
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum reached from the best of a few starting values.
+    """Return the local minimum reached from the best of at most _STARTS starting values, spread over the grid of all.
 
     near: approximate values of some nonlinear parameters, by name.
     """
@@ -248,7 +250,7 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
         parts, name = np.array(parameter.starts), parameter.name
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
     thin, found = problem.thinned(FEW), list[Fit]()
-    for chosen in product(*tried):
+    for chosen in islice(product(*tried), 0, None, 1 + prod(map(len, tried)) // _STARTS):
         seen = solve_or_none(thin, np.array(chosen), min(found, key=_fitness, default=None))
         found += [] if seen is None else [seen]
     if not found:
@@ -300,8 +302,7 @@ def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit |
 def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fit:
     """Return the local minimum next to the nonlinear parameters `start` (q,), within the bounds.
 
-    converged: the limits at which the descent ends: the fraction of the fitness that a step gains, and the length of a
-    step as a fraction of the bounds' width.
+    converged: the limits at which the descent ends, as _CONVERGED.
     """
     return _descent(problem, start, converged)[1]
 
@@ -327,9 +328,7 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
 
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
-    """Return the first fit with a lower fitness among ever shorter steps from `best`, with its linear problem; or
-    None.
-    """
+    """Return the first fit of lower fitness among ever shorter steps from `best`, with its linear problem; or None."""
     for halving in range(_HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(nonlinear, best.nonlinear):

@@ -22,6 +22,7 @@ from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
 from ga.model.polishing import polished
 from ga.model.separable import (
+    FEW,
     Fit,
     Problem,
     at_least_contained,
@@ -77,7 +78,7 @@ def search_nonlinear(
     than the fits of the models that this model contains. The result does not depend on `workers`. Ctrl-C ends the
     searches: the results so far are returned. Raises ValueError for settings that are not of the generational scheme.
     """
-    sketch = problem.sketched()
+    sketch = problem.sketched(FEW)
     bounds = Bounds(problem.low, problem.high)
     settings = replace(settings, tolerance=max(settings.tolerance or 0.0, _TOLERANCE))
     seeds = np.random.SeedSequence([seed, trials]).generate_state(trials, np.uint32)
@@ -126,7 +127,7 @@ def _run(trial: _Trial, problem: Problem, sketch: Problem, cancelled: threading.
         search.tell(points, [fit.fitness if fit else np.inf for fit in fits])
         trial.record.append(search.best_fitness)
     if is_over:
-        some = problem.thinned()
+        some = problem.sketched()
         trial.fit = compass_search(
             problem, descend(problem, compass_search(some, descend(some, search.best)).nonlinear)
         )

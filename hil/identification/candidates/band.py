@@ -7,6 +7,7 @@ less damping. Torque and columns pass the same filter, so a linear relation betw
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +86,7 @@ class Band:
         white = replace(self, weights=np.append(1.0, -np.linalg.solve(table, near[1:])))
         return white if np.count_nonzero(white._following) > 0.5 * len(self.rows) else replace(self, weights=np.ones(1))
 
-    @property
+    @cached_property
     def _following(self) -> NDArray[np.bool_]:
         """Return which rows (m,) have enough rows before them, without a gap, for the whitening filter."""
         follows = np.ones(len(self.rows), dtype=bool)

@@ -86,6 +86,13 @@ class BandFits:
         """Return the fits, the best one first; those without a spring or without a damper come last."""
         return sorted(self.known.values(), key=lambda one: (bool(np.min(one.genes[:2]) <= 0.0), -one.score))
 
+    def may_win(self, fit: BandFit) -> bool:
+        """Return whether a fit would be inside Occam's window of the best one if its terms had no cost.
+
+        If it would not, none of the models that it contains is inside: they fit no better.
+        """
+        return self._score(float(fit.left @ fit.left) / self.size**2, ()) > self.best()[0].score - c.OCCAM
+
     def pruned(self, fit: BandFit) -> BandFit:
         """Return the fit without the terms that do not improve the score, which are removed one after the other."""
         while True:
@@ -111,7 +118,6 @@ class BandFits:
                 break
             gained, best = best.square - better.square, better
             if gained < c.CONVERGED * best.square:
-                jacobian = self._jacobian(model, best)
                 break
         square = best.square / self.size**2
         columns = np.concatenate([best.whitened[:-1], jacobian])

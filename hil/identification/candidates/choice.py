@@ -93,8 +93,8 @@ def _named(model: Coupling, signals: Signals) -> Choice:
 
 
 def _selected(signals: Signals, *, linear_only: bool) -> Choice:
-    """Return the selected model. If friction seems to hold the joint in some samples, one selection is made without
-    them, and another with all samples.
+    """Return the selected model. If friction seems to hold the joint in some samples that the model does not
+    describe, another selection is made without these samples.
 
     If torque or angle has the wrong sign, no model is right, and the smallest model is enough to show the wrong sign.
     """
@@ -110,13 +110,11 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     recorded, signals = signals, _glimpses(signals)
     seen, friction = signals.rate_known, _named(parse(_USUAL_FRICTION), signals)
     moving = friction.described(signals)
-    found = _plainest(signals, moving, terms)
-    sticking = friction.sticking and found.model.sticks
-    if friction.sticking:
-        # a model with smooth friction, or without friction, may describe the slow samples too
-        whole = _plainest(signals, seen, terms)
-        if not sticking or _describes_slow(whole, friction, signals, seen):
-            found, sticking = whole, False
+    found, sticking = _plainest(signals, seen, terms), False
+    # a model with smooth friction, or without friction, may describe the slow samples too
+    if friction.sticking and not _describes_slow(found, friction, signals, seen):
+        without = _plainest(signals, moving, terms)
+        found, sticking = (without, True) if without.model.sticks else (found, False)
     model = found.model.anchored(recorded.motion)
     return Choice(model, found.steps, sticking, found.delay)
 

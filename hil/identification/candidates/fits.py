@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
-from ga.model.separable import Fit, Problem, best_start, compass_search, descend
+from ga.model.separable import ENOUGH, Fit, Problem, best_start, compass_search, descend
 from ga.model.terms import TERMS, canonical, of_kind, size_of
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
@@ -155,6 +155,13 @@ class Fits:
         """
         return is_smooth(self.motion, self.window)
 
+    @cached_property
+    def _coarser(self) -> tuple[Motion, NDArray[np.int64]]:
+        """Return the motion on which a fit begins, and its samples' indices: the same for all models, so that columns
+        are kept.
+        """
+        return self.motion.coarser(ENOUGH)
+
     @property
     def errors(self) -> tuple[float, float, float]:
         """Return the standard deviations of the errors of deflection (rad), rate and acceleration; 0 where unknown."""
@@ -172,7 +179,9 @@ class Fits:
             start = problem.low
             if len(start):
                 given = {one.name: values[one.name] for one in problem.model.nonlinear if one.name in values}
-                start = best_start(problem.thinned(), _inside(given, problem)).nonlinear
+                motion, rows = self._coarser
+                some = replace(problem, motion=motion, torque=self.torque[rows]).thinned()
+                start = best_start(some, _inside(given, problem)).nonlinear
             found = descend(problem, start) if len(start) else problem.solve(start)
             self._fitted[terms] = Candidate(terms, _model(terms), problem, found, self.errors[0])
         return self._fitted[terms]

@@ -50,8 +50,9 @@ def proposed(
         fits, found = _fits(search), search.found()
         tried = [] if best is None else [fits.fit(best.terms, best.values)]
         tried += [_fitted(search, fits, one, best) for one in _different(search, [one for _, one in found])]
-        for one in tried:
-            _fit_exchanged(fits, fits.pruned(one), terms)
+        for one in [fits.pruned(one) for one in tried]:
+            if fits.may_win(one):
+                _fit_exchanged(fits, one, terms)
         before, best = best, fits.best()[0]
         if not best.terms or (before is not None and set(before.terms) == set(best.terms)):
             break
@@ -102,7 +103,8 @@ def _fit_exchanged(fits: BandFits, fit: BandFit, terms: tuple[str, ...]) -> None
         for other in (term for term in terms if term != one and _account_for_the_same(one, term)):
             larger = (*others, other)
             if is_addable(other, others) and not any(lacking(term, larger) for term in larger):
-                fits.pruned(fits.fit(larger[len(_SMALLEST) :], fit.values))
+                if fits.may_win(exchanged := fits.fit(larger[len(_SMALLEST) :], fit.values)):
+                    fits.pruned(exchanged)
 
 
 def _account_for_the_same(one: str, other: str) -> bool:

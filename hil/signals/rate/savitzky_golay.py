@@ -32,9 +32,11 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
     ends the window is the first or last 2*half+1 samples, and the polynomial is evaluated off the window's centre,
     where the noise is many times larger.
     """
-    time, values = np.ascontiguousarray(time), np.ascontiguousarray(values)
+    time, values = (np.ascontiguousarray(one, dtype=np.float64) for one in (time, values))
     if len(time) <= 4 * half + 2 or not _is_even(time):
-        return _fitted(time, values, half, order)
+        if len(time) > THREAD_SAMPLES:
+            return _fitted(time, values, half, order)
+        return _remembered(time.tobytes(), values.tobytes(), half, order).copy()
     found, width = np.empty(len(time)), 2 * half + 1
     per_time = ((len(time) - 1) / (time[-1] - time[0])) ** order
 
@@ -73,6 +75,11 @@ def _is_even(time: Array) -> bool:
     grid = np.linspace(time[0], time[-1], len(time))
     rounding = 4.0 * float(np.finfo(np.float64).eps) * max(abs(time[0]), abs(time[-1]))
     return bool(np.all(np.abs(time - grid) <= rounding))
+
+
+@lru_cache(maxsize=16)  # an identification asks for the rate and its smoothness again and again
+def _remembered(time: bytes, values: bytes, half: int, order: int) -> Array:
+    return _fitted(np.frombuffer(time), np.frombuffer(values), half, order)
 
 
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:

@@ -121,7 +121,7 @@ def test_a_sketch_has_the_genes_of_all_rows_and_its_lowest_place_where_theirs_is
     true = np.array([{"tau1": 0.05, "reach": 0.04}[parameter.name] for parameter in model.nonlinear])
     torque = model.columns(both, true) @ np.array([0.3, 0.003, 0.02, 0.1])
     problem = Problem(model, both, torque, *model.bounds(both, 3.0))
-    sketch = problem.sketched()
+    sketch = problem.sketched(FEW)
     assert FEW <= len(sketch.torque) < 2 * FEW
     assert len(sketch.motion.whole[0]) < len(TIME) / 10
     assert sketch.solve(true).optimum.genes == pytest.approx(problem.solve(true).optimum.genes, rel=0.05)
