@@ -54,13 +54,12 @@ shortened. _CONVERGED: a descent ends when a step gains less than this fraction 
 fraction of the bounds' width.
 """
 
-_NEARLY: Final = 1e-5  # the same where the minimum on some rows is only to begin at, or to be compared
+_NEARLY: Final = 1e-5  # the same where a minimum is only to begin at, or rough
 
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3
-_LAST: Final = 1e-5
 """The steps of a compass search, as fractions of the bounds' width. _FIRST: the first step. _FINE: the step from which
-the steps shrink faster. _LAST: the last step.
+the steps shrink faster; _NEARLY is the last one.
 """
 
 _FEW_STEPS: Final = 8  # of a compass, after which their common direction is known
@@ -356,7 +355,7 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
     If the minimum is long and narrow, a few steps show its direction, and growing steps follow (Hooke and Jeeves 1961).
     """
     steps, length, path = _rough(problem), _FIRST, [best]
-    while len(steps) and length > _LAST:
+    while len(steps) and length > _NEARLY:
         points = [best.nonlinear + sign * length * step for step in steps for sign in (1.0, -1.0)]
         tried = [_solved_or_none(problem, np.clip(point, problem.low, problem.high), best) for point in points]
         found = min((one.fit for one in tried if one is not None), key=_fitness, default=best)
