@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice, product
 from math import prod
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol
@@ -240,7 +239,7 @@ def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Itera
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum reached from the best of at most _STARTS starting values, spread over the grid of all.
+    """Return the local minimum reached from the best of at most _STARTS starting values, drawn from the grid of all.
 
     near: approximate values of some nonlinear parameters, by name.
     """
@@ -249,8 +248,11 @@ def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({}
         parts, name = np.array(parameter.starts), parameter.name
         tried.append(np.array([near[name]]) if name in near else low + (high - low) * parts)
     thin, found = problem.thinned(FEW), list[Fit]()
-    for chosen in islice(product(*tried), 0, None, 1 + prod(map(len, tried)) // _STARTS):
-        seen = solve_or_none(thin, np.array(chosen), min(found, key=_fitness, default=None))
+    sizes = tuple(map(len, tried))
+    drawn = np.random.default_rng(0).choice(prod(sizes), min(prod(sizes), _STARTS), replace=False)
+    for place in np.transpose(np.unravel_index(np.sort(drawn), sizes)):
+        chosen = np.array([values[at] for values, at in zip(tried, place, strict=True)])
+        seen = solve_or_none(thin, chosen, min(found, key=_fitness, default=None))
         found += [] if seen is None else [seen]
     if not found:
         raise RuntimeError("for no nonlinear parameters were the columns different enough")

@@ -103,7 +103,8 @@ def _fit_exchanged(fits: BandFits, fit: BandFit, terms: tuple[str, ...]) -> None
         for other in (term for term in terms if term != one and _account_for_the_same(one, term)):
             larger = (*others, other)
             if is_addable(other, others) and not any(lacking(term, larger) for term in larger):
-                if fits.may_win(exchanged := fits.fit(larger[len(_SMALLEST) :], fit.values)):
+                exchanged = fits.fit(larger[len(_SMALLEST) :], fit.values)
+                if fits.may_win(exchanged):
                     fits.pruned(exchanged)
 
 

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from ga.evolution.evolution import PRESETS
 from ga.model import separable
 from ga.model.coupling import parse
-from ga.model.separable import Fit, Problem, _other_starts, compass_search, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, _other_starts, best_start, compass_search, descend, fit, local_minimum
 from ga.model.trajectory import Motion
 from ga.trials.nonlinear import search_nonlinear
 
@@ -64,6 +64,19 @@ def with_play(gap: float, centre: float) -> Array:
 def problem(name: str, torque: Array) -> Problem:
     model = parse(name).anchored(MOTION)
     return Problem(model, MOTION, torque, *model.bounds(MOTION, highest=12.0))
+
+
+def test_a_fit_of_many_parameters_begins_at_a_few_hundred_values_that_cover_the_grid_of_each(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = list[Array]()
+    monkeypatch.setattr(separable, "solve_or_none", lambda _problem, nonlinear, _near: tried.append(nonlinear))
+    many = problem("linear+maxwell+maxwell2+exponential+sheath+skew", skewed(0.0))
+    with pytest.raises(RuntimeError):
+        best_start(many)
+    assert len(tried) <= 300
+    found = [len(set(values)) for values in np.array(tried).T.tolist()]
+    assert found == [len(parameter.starts) for parameter in many.model.nonlinear]
 
 
 def test_starts_without_a_gap_are_one_wherever_its_middle_is() -> None:
