@@ -194,7 +194,6 @@ def test_noise_makes_no_skew_and_no_lag_that_are_not_there(tmp_path: Path) -> No
     assert found.model.name == "linear"
 
 
-@pytest.mark.study
 def test_a_stiff_joint_that_moves_by_few_hundred_counts_is_identified(tmp_path: Path) -> None:
     found = recorded(tmp_path / "a.h5", bits=17, peak=0.01, kc=500.0, bc=5.0, torque_noise=1e-2)
     kc, bc = errors(found, 500.0, 5.0)

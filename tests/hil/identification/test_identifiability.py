@@ -285,7 +285,6 @@ def moved_between_two_places(channels: dict[str, Array]) -> None:
     channels["torque"] += 1e-3 * np.random.default_rng(6).standard_normal(len(channels["torque"]))
 
 
-@pytest.mark.study
 @pytest.mark.parametrize(
     ("model", "trusted"), [pytest.param(None, False, marks=pytest.mark.study), ("linear+inertia", True)]
 )
@@ -316,7 +315,6 @@ def behind(constant: float, inertia: float) -> Callable[[dict[str, Array]], None
     return change
 
 
-@pytest.mark.study
 @pytest.mark.parametrize(
     ("model", "trusted"), [pytest.param(None, False, marks=pytest.mark.study), ("linear+inertia", True)]
 )
@@ -393,7 +391,6 @@ def test_a_damping_that_is_uncertain_says_by_how_much_and_why(
         assert "Damping shows near" in one.message
 
 
-@pytest.mark.study
 def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording: Maker) -> None:
     paths = [make_recording("a.h5", samples=600, noise=1e-4)]
     paths.append(make_recording("c.h5", samples=600, kc=20.0, bc=0.2, noise=1e-1, seed=2))

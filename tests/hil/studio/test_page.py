@@ -206,7 +206,6 @@ def test_a_port_that_is_taken_is_said_before_anything_starts() -> None:
         bind(first.getsockname()[1])
 
 
-@pytest.mark.study
 @pytest.mark.usefixtures("busy_machine")
 def test_a_run_that_another_program_started_is_shown_and_stopped_softly(page: TestClient, tmp_path: Path) -> None:
     """A studio that was killed, or a terminal: the recorder goes on, and any page of the folder stops it."""

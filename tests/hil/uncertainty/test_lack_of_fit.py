@@ -337,7 +337,6 @@ def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     assert all(one.Kc is None for one in found.respects)
 
 
-@pytest.mark.study
 def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
     times = 5
     joined = Recorded(

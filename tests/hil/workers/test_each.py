@@ -24,7 +24,6 @@ def files(make: Maker) -> list[Path]:
     return [make(f"r{i}.h5", samples=600, kc=0.02 + 0.001 * i, noise=1e-5, seed=i) for i in range(4)]
 
 
-@pytest.mark.study
 def test_each_recording_has_a_line_and_one_that_cannot_be_used_costs_the_others_nothing(
     hil: Hil, make_recording: Maker
 ) -> None:
