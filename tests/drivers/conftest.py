@@ -357,6 +357,8 @@ def simulated(_: Path) -> Iterator[tuple[Servo, Limits]]:
 IN_REAL_TIME = {"dynamixel on a pty": on_a_pty, "commander on a pty": foc_on_a_pty}
 OTHERS = {"sim": simulated, **IN_REAL_TIME}
 VARIANTS = {
+    "dynamixel in position",
+    "commander with a loadcell",
     "feetech sts",
     "feetech sts in position",
     "odrive 0.5.6",
