@@ -108,7 +108,7 @@ class LinkedNetwork(Network):
         self[ident] = self.node
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Send a frame. Raises LinkLost, NoReply if no node on the bus acknowledges."""
+        """Send a frame. Raises LinkLost; NoReply if no node on the bus acknowledges."""
         self._link.send(frame(can_id, bytes(data or b""), remote=remote))
 
     def read(self, place: ObjectIndex) -> bytes:

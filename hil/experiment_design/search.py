@@ -54,7 +54,7 @@ def best(task: Task, duration: float, progress: Progress | None = None) -> Asses
     if math.isinf(min(search.errors.values())):
         raise WrongUse(
             f"no excitation identifies Kc and Bc with --model {task.model}: some of its terms look the same in every "
-            "motion (skew is the sum of a damping and an inertia); leave one out"
+            "motion (skew looks like a damping and an inertia together); leave one out"
         )
     for kind in _followed(_KINDS, "refining the best", progress):
         search.refine(kind)

@@ -122,9 +122,9 @@ def measure(
                     loops.setdefault(quantity, []).append((name, value))
     if ("loading", "both", parts[-1]) not in stiffness:
         raise Untrustworthy(
-            f"no branch of {', '.join(cut)} loads the joint from {parts[-1][0]:.3g} to {parts[-1][1]:.3g} N m, or the "
-            "angle falls there, so there is no stiffness: check the torque's sign, name other parts of its range with "
-            "--part, or load the joint further"
+            f"the stiffness from {parts[-1][0]:.3g} to {parts[-1][1]:.3g} N m is unknown: no branch of "
+            f"{', '.join(cut)} loads the joint in this part, or the angle falls while the torque rises. Load the joint "
+            "further, name other parts of the range with --part, or check the torque's sign"
         )
     return Measures(
         rated=rated,

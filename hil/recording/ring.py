@@ -65,12 +65,12 @@ class Ring:
 
     @property
     def taken(self) -> int:
-        """Return the number of rows taken so far; the operating system has these rows."""
+        """Return the number of rows taken so far. They survive a crash of this process."""
         return self._numbers[_TAKEN]
 
     @property
     def events_taken(self) -> int:
-        """Return the number of events taken so far; the operating system has these events."""
+        """Return the number of events taken so far. They survive a crash of this process."""
         return self._numbers[_EVENTS_TAKEN]
 
     @property

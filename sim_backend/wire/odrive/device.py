@@ -213,7 +213,7 @@ class OdriveDevice:
         return []
 
     def _replied(self, command: int, now: float) -> list[CanFrame]:
-        """Return the reply to a frame without data. A command without parameters is executed."""
+        """Return the reply to a frame without data, and execute it if it is a command without parameters."""
         if command in {_ESTOP, _REBOOT, _CLEAR}:
             self._obey(command, bytes(8), now)
         message = self._message.get(command) if command != _CYCLIC["heartbeat"] else None
