@@ -176,7 +176,7 @@ def _enter(tree: Tree, child: int) -> float:
     return half * (1.0 + 1e-9) + tree.blur  # type: ignore[no-any-return]  # float in numba
 
 
-@compiled_within
+@compiled_no_refcount
 def _settle(tree: Tree, node: int, child: int, reach: float, small: int) -> int:
     """Sum the parent's rows that have one sign throughout the child, and list the other rows.
 
