@@ -107,13 +107,13 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         pytest.skip("PAGE NOT OPENED IN A BROWSER: there is no chromium; apt-get install chromium")
-    browser = nice(browser, tmp_path_factory.mktemp("browser"))
+    program = nice(browser, tmp_path_factory.mktemp("browser"))
     faults: list[str] = []
     with ExitStack() as stack:
         driver = [stack.enter_context(sync_playwright.sync_playwright())]
 
         def begin(link: str, width: int = 1200, **more: Any) -> Page:
-            process = driver[0].chromium.launch(executable_path=browser, args=["--no-sandbox"])
+            process = driver[0].chromium.launch(executable_path=program, args=["--no-sandbox"])
             stack.callback(process.close)
             page: Page = process.new_context(viewport={"width": width, "height": 900}, **more).new_page()
             page.set_default_timeout(SOON)
