@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
 
 from ga import first_run
 from ga.collector import uncollected
-from ga.own_numba import ConfigStack, appdirs, event, global_compiler_lock, numba, types
+from ga.own_numba import appdirs, event, global_compiler_lock, numba
 
 if sys.platform != "win32":
     import fcntl
@@ -191,8 +191,7 @@ def _between_interrupts(compile_or_load: Callable[..., Any], *signature: Any) ->
     if outermost:
         signal.signal(signal.SIGINT, _held)
     try:
-        with _signatures_known():
-            made = compile_or_load(*signature)
+        made = compile_or_load(*signature)
         if outermost or handler is _held:
             _held.check()
         return made
@@ -200,33 +199,6 @@ def _between_interrupts(compile_or_load: Callable[..., Any], *signature: Any) ->
         if outermost:
             _held.came = False
             signal.signal(signal.SIGINT, handler)
-
-
-_builtin: Any = types.Function
-_look_up: Final = _builtin.get_call_type
-_known: Final[dict[tuple[object, ...], Any]] = {}
-
-
-def _look_up_once(function: Any, context: Any, arguments: Any, keywords: Any) -> Any:
-    """Return the signature of a built-in function or operator for types of arguments, as numba finds it.
-
-    numba tries all forms of the function for each call: 5,000 calls of 200 different signatures in a first run.
-    """
-    key = (function, tuple(arguments), *keywords.items(), ConfigStack().top().nrt)
-    if key not in _known:
-        _known[key] = _look_up(function, context, arguments, keywords)
-    return _known[key]
-
-
-@contextmanager
-def _signatures_known() -> Iterator[None]:
-    """Look up each signature once for all functions of this package that are compiled: it saves a sixth of the time."""
-    before = _builtin.get_call_type
-    _builtin.get_call_type = _look_up_once
-    try:
-        yield
-    finally:
-        _builtin.get_call_type = before
 
 
 def _lock(file: IO[bytes]) -> None:

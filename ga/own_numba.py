@@ -35,9 +35,8 @@ if "numba" not in sys.modules:
     vars(config)["_config_fname"] = ""  # it looks again whenever it compiles
 
 import numba  # noqa: E402 - what is above comes first
-from numba.core import event, types  # noqa: E402
+from numba.core import event  # noqa: E402
 from numba.core.compiler_lock import global_compiler_lock  # noqa: E402
-from numba.core.targetconfig import ConfigStack  # noqa: E402
 from numba.misc import appdirs  # noqa: E402
 
-__all__ = ["ConfigStack", "appdirs", "event", "global_compiler_lock", "numba", "types"]
+__all__ = ["appdirs", "event", "global_compiler_lock", "numba"]

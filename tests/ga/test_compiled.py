@@ -21,7 +21,6 @@ from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
-BUILTIN: Any = numba.types.Function
 CALLER = "from ga.compiled import compiled\nfrom joint.{callee} import stiffness\n\n\n@compiled\ndef torque(x):\n    return stiffness() * x\n"  # noqa: E501
 CALLEE = "from ga.compiled import compiled\n\n\n@compiled\ndef stiffness():\n    return {value}\n"
 ASK = "import joint.caller as caller; print(caller.torque(1.0), sum(caller.torque.stats.cache_hits.values()) > 0)"
@@ -234,18 +233,6 @@ def test_the_users_own_setting_of_numba_is_left_alone(monkeypatch: pytest.Monkey
         monkeypatch.setattr(CONFIG, "CACHE_DIR", setting)
         compiled(lambda x: x)
         assert setting == CONFIG.CACHE_DIR
-
-
-def test_a_signature_is_looked_up_once_and_the_users_own_functions_keep_the_look_up_of_numba(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("ga.compiled.cache_folder", lambda _package: tmp_path)
-    look_up, asked = BUILTIN.get_call_type, list[object]()
-    monkeypatch.setattr("ga.compiled._known", {})
-    monkeypatch.setattr("ga.compiled._look_up", lambda *one: asked.append(one[:3:2]) or look_up(*one))
-    assert compiled(lambda x: x + x * x + x * x)(2.0) == 10.0
-    assert len(asked) == len(set(asked)) == 2
-    assert BUILTIN.get_call_type is look_up
 
 
 def test_ctrl_c_while_a_function_is_compiled_ends_the_work_once_that_function_is_done(tmp_path: Path) -> None:
