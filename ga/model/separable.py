@@ -48,12 +48,12 @@ _STARTS: Final = 300
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
-"""_STARTS: the largest number of starting values. _STEPS: that of steps of a descent. _HALVINGS: how often a step is
+"""_STARTS, _STEPS: the largest numbers of starting values, and of steps of a descent. _HALVINGS: how often a step is
 shortened. _CONVERGED: a descent ends when a step gains less than this fraction of the fitness, or is shorter than this
 fraction of the bounds' width.
 """
 
-_NEARLY: Final = 1e-5  # the same where a minimum is only to begin at, or rough
+_NEARLY: Final = 1e-5  # the same for a minimum that is a starting point, or rough
 
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3

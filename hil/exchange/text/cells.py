@@ -35,7 +35,7 @@ def is_missing(text: str) -> bool:
 def is_number(text: str) -> bool:
     """Return whether a text is a number in any notation."""
     try:
-        float(text)  # nearly all are in this one, and the others take ten times as long
+        float(text)  # nearly every number has this notation; to try the others takes ten times as long
     except ValueError:
         return bool(_values(_plain(text)))
     return "_" not in text
