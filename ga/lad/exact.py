@@ -7,11 +7,12 @@ to the data.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.lad.few import ALONE, DISTINCT, MANY, PROVEN, ROUNDING, solve_few
 from ga.lad.simplex import OPTIMAL, STALLED, descend
 from ga.samples import check, resolution
 
@@ -32,9 +33,31 @@ _ATTEMPTS: Final = (*((amount, False) for amount in _PERTURBATIONS), *((amount, 
 The repetition concerns a descent that used only the rows near an estimate; it takes longer than another perturbation.
 """
 
-_DIRECT: Final = 6000
-"""The largest number of rows with which a descent begins; for more rows, an estimate from a subsample selects some of
-them first.
+_ALL: Final = 4000
+"""The largest number of rows for which a descent over all rows takes less time than to select the rows that matter."""
+
+_FEWEST: Final = 1000
+"""The same if genes close to the optimum are given."""
+
+_SOME: Final = 2000
+_PART: Final = 16
+"""An estimate of the optimum needs about `_SOME` of the rows, or one row in `_PART` if that is more."""
+
+_SPREAD: Final = 4.0
+"""The distance from an estimate within which the optimum is searched, in approximate standard errors of the
+estimate.
+"""
+
+_DISTINCT: Final = 1e-3
+"""The fraction of a column's length, independent of the other columns, above which orthogonalisation once is precise
+enough.
+"""
+
+_ROUNDING: Final = 64.0 * float(np.finfo(np.float64).eps)
+_PROVEN: Final = 1e-9
+_ALONE: Final = 1.0 - 1e-9
+"""_PROVEN: the certificate below which an optimum is proven. _ALONE: the multipliers below which the optimum is
+unique.
 """
 
 
@@ -74,34 +97,33 @@ def least_absolute_deviations(
     are not finite, not of equal length or empty, RuntimeError if no certificate could be reached.
     """
     check(columns, torque)
-    if (len(torque) <= MANY or near is not None) and (found := solve_few(columns, torque, near)) is not None:
-        genes, certificate, unique = found
-        return Optimum(genes, fitness_of(columns, torque, genes), certificate, unique, resolution(torque))
-    sizes = np.abs(columns.T, order="C")
+    scaled = columns.T.copy()  # a column after the other: a processor computes neighbours at once
+    sizes = np.abs(scaled)
     scale, extent = sizes.max(axis=1), sizes.sum(axis=1)
     scale[scale == 0.0] = extent[extent == 0.0] = 1.0
     size = float(np.mean(np.abs(torque))) or 1.0
-    rows, kept = _whiten(columns, scale)
+    scaled /= scale[:, None]
+    rows, kept = _whiten(scaled)
     if not kept.size:
         return Optimum(np.zeros(len(scale)), float(np.mean(np.abs(torque))), 0.0, False, resolution(torque))
     target = torque / size
-    start = target if near is None else _times(columns, near) / size
+    start = _weighted_sum(rows, target if near is None else _times(scaled, near * scale / size)) / len(target)
     best: Optimum | None = None
     for amount, patient in _ATTEMPTS:
         if best is not None and patient:
             break
         moved = target + amount * np.random.default_rng(0).uniform(-1.0, 1.0, len(torque)) if amount else target
-        basis = _solve(rows, moved, _weighted_sum(rows, start) / len(rows), patient=patient)
+        basis = _solve(rows, moved, start, is_near=near is not None, patient=patient)
         if basis is None:
             continue
         # the perturbation ends here: the vertex is that of the data as they are
         genes = np.zeros(len(scale))
-        genes[kept] = np.linalg.solve(columns[np.ix_(basis, kept)] / scale[kept], target[basis])
-        signs = _signs(rows, target, moved, basis)
-        optimum = _certify(columns, torque, genes * size / scale, basis, signs, scale=scale, extent=extent)
-        if best is None or optimum.certificate < best.certificate:
-            best = optimum
-        if best.certificate <= PROVEN:
+        genes[kept] = np.linalg.solve(scaled[:, basis][kept].T, target[basis])
+        certificate, unique = _certify(scaled, basis, _signs(rows, target, moved, basis), extent / scale)
+        if best is None or certificate < best.certificate:
+            genes *= size / scale
+            best = Optimum(genes, fitness_of(columns, torque, genes), certificate, unique, resolution(torque))
+        if best.certificate <= _PROVEN:
             break
     if best is None:
         raise RuntimeError("no optimal vertex was found: the columns are too nearly collinear")
@@ -189,7 +211,7 @@ def fitness_of(columns: NDArray[np.float64], torque: NDArray[np.float64], genes:
 
     Sums in another order differ by rounding, which is a large part of the optimum if the data are free of noise.
     """
-    return float(np.mean(np.abs(torque - _times(columns, genes))))
+    return float(np.mean(np.abs(torque - np.einsum("nk,k->n", columns, genes))))
 
 
 def _signs(
@@ -199,84 +221,66 @@ def _signs(
 
     If a residual is zero to rounding, its sign is that of the residual with the perturbed torque `moved`.
     """
-    inverse = np.linalg.inv(rows[basis])
+    inverse = np.linalg.inv(rows[:, basis].T)
     point, extent = inverse @ torque[basis], np.abs(inverse) @ np.abs(torque[basis])
     residual = torque - _times(rows, point)
     signs, sizes = np.sign(residual), np.abs(residual)
     # no row is longer than all columns together, so that few rows need a closer look
     most = float(np.abs(torque).max()) + float(np.sqrt(rows.size) * extent.max())
-    close = np.flatnonzero(sizes <= ROUNDING * most)
+    close = np.flatnonzero(sizes <= _ROUNDING * most)
     # entries that cancel to zero have an error too: bounded by the rows' length, not by the entries
-    rounding = ROUNDING * (np.abs(torque[close]) + np.abs(rows[close]).sum(axis=1) * float(extent.max()))
+    rounding = _ROUNDING * (np.abs(torque[close]) + np.abs(rows[:, close]).sum(axis=0) * float(extent.max()))
     tied = close[sizes[close] <= rounding]
-    signs[tied] = np.sign(moved[tied] - _times(rows[tied], inverse @ moved[basis]))
+    signs[tied] = np.sign(moved[tied] - _times(rows[:, tied], inverse @ moved[basis]))
     signs[basis] = 0.0
     return signs
 
 
 def _certify(
-    columns: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    genes: NDArray[np.float64],
-    basis: NDArray[np.int64],
-    signs: NDArray[np.float64],
-    *,
-    scale: NDArray[np.float64],
-    extent: NDArray[np.float64],
-) -> Optimum:
-    """Return the optimum with its proof, from the signs (n,) of the residuals outside the basis.
+    scaled: NDArray[np.float64], basis: NDArray[np.int64], signs: NDArray[np.float64], extent: NDArray[np.float64]
+) -> tuple[float, bool]:
+    """Return the certificate of an optimum, and whether it is unique, from the signs (n,) of the residuals outside the
+    basis.
 
-    scale and extent (p,): the largest and the sum of the absolute values of each column, 1 for a column of zeros.
+    scaled (p, n): the columns, of largest value 1. extent (p,): the sums of their absolute values, not zero.
     """
-    full = len(basis) == columns.shape[1]
-    met, rest = (columns[basis] / scale).T, _weighted_sum(columns, signs) / scale
+    full = len(basis) == len(scaled)
+    met, rest = scaled[:, basis], _weighted_sum(scaled, signs)
     needed = -(np.linalg.solve(met, rest) if full else np.linalg.lstsq(met, rest, rcond=None)[0])
-    signs[basis] = needed.clip(-1.0, 1.0)
-    violation = np.abs(_weighted_sum(columns, signs)) / extent
-    return Optimum(
-        genes=genes,
-        fitness=fitness_of(columns, torque, genes),
-        certificate=float(violation.max()),
-        unique=full and bool(np.all(np.abs(needed) < ALONE)),
-        floor=resolution(torque),
-    )
+    violation = np.abs(rest + met @ needed.clip(-1.0, 1.0)) / extent
+    return float(violation.max()), full and bool(np.all(np.abs(needed) < _ALONE))
 
 
-def _whiten(columns: NDArray[np.float64], scale: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return rows (n, r) of independent columns made orthogonal, each of length sqrt(n), and the indices of these
-    columns.
+def _whiten(scaled: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the independent ones (r, n) of columns (p, n), made orthogonal and of length sqrt(n), and their indices.
 
-    scale (p,): the largest absolute value of each column, which keeps squares in range. Clearly distinct columns need
-    one Cholesky decomposition, others are treated one by one.
+    Clearly distinct columns need one Cholesky decomposition, others are treated one by one.
     """
-    scaled = columns / scale
-    gram = scaled.T @ scaled
+    gram = scaled @ scaled.T
     lengths = np.sqrt(gram.diagonal())
     if (lengths > 0.0).all():
         try:
             triangle = np.linalg.cholesky(gram / np.outer(lengths, lengths))
         except np.linalg.LinAlgError:
-            return _orthogonal(columns, scale)
-        if triangle.diagonal().min() > DISTINCT:
-            into = np.sqrt(len(columns)) * np.linalg.inv(triangle).T / lengths[:, None]
-            return scaled @ into, np.arange(len(scale))
-    return _orthogonal(columns, scale)
+            return _orthogonal(scaled)
+        if triangle.diagonal().min() > _DISTINCT:
+            into = np.sqrt(scaled.shape[1]) * np.linalg.inv(triangle) / lengths
+            return into @ scaled, np.arange(len(scaled))
+    return _orthogonal(scaled)
 
 
-def _orthogonal(
-    columns: NDArray[np.float64], scale: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _orthogonal(scaled: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return what `_whiten` returns, computed by Gram-Schmidt with column exchange; each column is orthogonalised
     twice.
 
     The rank follows from the length of a column that remains after this.
     """
-    work = np.divide(columns.T, scale[:, None], order="C")
+    work = scaled.copy()
     lengths = np.sqrt(np.einsum("kn,kn->k", work, work))
     work /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     order = np.arange(len(work))
     rank = 0
-    while rank < min(columns.shape):
+    while rank < min(scaled.shape):
         left = np.einsum("kn,kn->k", work[rank:], work[rank:])
         pivot = rank + int(np.argmax(left))
         if not np.sqrt(left.max()) > _RANK:
@@ -289,59 +293,73 @@ def _orthogonal(
         for j in range(rank + 1, len(work)):
             work[j] -= np.einsum("n,n", work[rank], work[j]) * work[rank]
         rank += 1
-    return np.multiply(work[:rank].T, np.sqrt(len(columns)), order="C"), order[:rank]
+    return work[:rank] * np.sqrt(scaled.shape[1]), order[:rank]
 
 
 def _solve(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, patient: bool
+    rows: NDArray[np.float64], torque: NDArray[np.float64], start: NDArray[np.float64], *, is_near: bool, patient: bool
 ) -> NDArray[np.int64] | None:
-    """Return the optimal basis of all rows (n, r), searched from the point start (r,); None if the descent stalls.
+    """Return the optimal basis (r,) of all rows (r, n), searched from the point start (r,); None if the descent stalls.
 
-    patient: whether a descent that stalls with a part of the rows is repeated with more rows, up to all.
+    is_near: whether the start is probably close to the optimum. patient: whether a descent that stalls with a part of
+    the rows is repeated with more rows, up to all.
     """
-    n, r = rows.shape
-    if n <= _DIRECT:
+    r, n = rows.shape
+    if is_near and n > _FEWEST and (basis := _bracketed(rows, torque, start, n, tries=1)) is not None:
+        return basis
+    if n <= _ALL:
         return _descend(rows, torque, np.zeros(r), start)[1]
-    step = max(n // max(_DIRECT, n // 16), 2)
-    count = n // step
-    # one row at random out of every `step`: a fixed stride could beat with a periodic excitation
-    sample = np.arange(count) * step + np.random.default_rng(1).integers(0, step, count)
-    basis = _solve(rows[sample], torque[sample], start, patient=patient)
+    some = _sample(n, max(_SOME, n // _PART))
+    basis = _solve(rows.take(some, axis=1), torque[some], start, is_near=False, patient=patient)
     if basis is None:
         return None
-    centre = np.linalg.solve(rows[sample][basis], torque[sample][basis])
-    return _bracketed(rows, torque, centre, count, patient=patient)
+    centre = np.asarray(np.linalg.solve(rows[:, some[basis]].T, torque[some[basis]]), np.float64)
+    return _bracketed(rows, torque, centre, len(some), patient=patient)
+
+
+@lru_cache(maxsize=8)  # a search asks for it thousands of times, and drawing takes as long as a descent
+def _sample(n: int, count: int) -> NDArray[np.int64]:
+    """Return the indices of about `count` of n rows: one at random out of every few, because a fixed stride could beat
+    with a periodic excitation.
+    """
+    step = n // count
+    return np.arange(n // step) * step + np.random.default_rng(1).integers(0, step, n // step)
 
 
 def _bracketed(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], centre: NDArray[np.float64], count: int, *, patient: bool
+    rows: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    count: int,
+    *,
+    tries: int | None = None,
+    patient: bool = False,
 ) -> NDArray[np.int64] | None:
     """Return the optimal basis, searched with the rows that can change sign around the centre (r,), in growing regions.
 
-    centre: an estimate of the optimum from `count` rows. patient: whether a stalled descent is repeated with more rows.
+    centre: an estimate of the optimum, as good as one from `count` rows. tries: the largest number of regions; None for
+    no limit. patient: whether a stalled descent is repeated with more rows.
     """
-    r = len(centre)
     residual = torque - _times(rows, centre)
-    reach = 4.0 * float(np.mean(np.abs(residual))) * np.sqrt(r / count)
-    lengths = np.sqrt(np.einsum("nk,nk->n", rows, rows))
-    while True:
+    sizes, lengths = np.abs(residual), np.sqrt(np.einsum("kn,kn->n", rows, rows))
+    reach = _SPREAD * float(np.mean(sizes)) * np.sqrt(len(centre) / count)
+    for _ in range(tries) if tries else repeat(None):
         # within `reach` of the centre these rows keep their sign (Cauchy-Schwarz): together they are one linear term
-        settled = np.abs(residual) > reach * lengths
+        settled = sizes > reach * lengths
         pull = _weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
         open_rows = np.flatnonzero(~settled)
-        status, found = _descend(rows[open_rows], torque[open_rows], pull, centre)
+        status, found = _descend(rows.take(open_rows, axis=1), torque[open_rows], pull, centre)
         if status == STALLED and not patient:
             return None
         if found is not None:
             basis = open_rows[found]
-            if (
-                _is_vertex(rows[basis])
-                and np.linalg.norm(np.linalg.solve(rows[basis], torque[basis]) - centre) <= reach
-            ):
+            met = rows[:, basis].T
+            if _is_vertex(met) and np.linalg.norm(np.linalg.solve(met, torque[basis]) - centre) <= reach:
                 return basis
         if not settled.any():
             return None
         reach = 4.0 * max(reach, 1e-300)
+    return None
 
 
 def _is_vertex(basis: NDArray[np.float64]) -> bool:
@@ -350,21 +368,21 @@ def _is_vertex(basis: NDArray[np.float64]) -> bool:
 
 
 def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the product (n,) of rows (n, p) and a vector (p,), computed in one thread.
+    """Return the product (n,) of a vector (r,) and rows (r, n), computed in one thread.
 
     For so few columns the threads of a linear-algebra library take more time than they save, and on a busy machine many
     times more.
     """
-    return np.asarray(np.einsum("nk,k->n", rows, vector))
+    return np.asarray(np.einsum("k,kn->n", vector, rows))
 
 
 def _weighted_sum(rows: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sum (p,) of rows (n, p), each multiplied by its weight (n,), computed in one thread."""
-    return np.asarray(np.einsum("nk,n->k", rows, weights))
+    """Return the sum (r,) of rows (r, n), each multiplied by its weight (n,), computed in one thread."""
+    return np.asarray(np.einsum("kn,n->k", rows, weights))
 
 
 def _descend(
     rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
 ) -> tuple[int, NDArray[np.int64] | None]:
-    status, basis = descend(np.ascontiguousarray(rows.T), torque, pull, start)
+    status, basis = descend(np.ascontiguousarray(rows), torque, pull, start)
     return status, basis if status == OPTIMAL else None

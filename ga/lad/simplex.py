@@ -135,7 +135,7 @@ def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: 
         for k in range(r):
             inverse[i, k] = 1.0 if i == k else 0.0
             met[i, k] = rows[k, at] if at >= 0 else inverse[i, k]
-    if not invert(met, inverse):
+    if not _invert(met, inverse):
         return False
     for k in range(r):
         point[k] = 0.0
@@ -145,7 +145,7 @@ def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: 
 
 
 @compiled_within
-def invert(left: Matrix, inverse: Matrix) -> bool:
+def _invert(left: Matrix, inverse: Matrix) -> bool:
     """Multiply `inverse` by the inverse of `left` (Gauss-Jordan elimination with pivots); return False if `left` is
     singular. Both are overwritten.
     """

@@ -11,7 +11,6 @@ from scipy.optimize import linprog
 
 from ga.lad import exact
 from ga.lad.exact import fitness_of, least_absolute_deviations, not_negative
-from ga.lad.few import solve_few
 from ga.lad.simplex import lowest_crossing, room_for
 
 if TYPE_CHECKING:
@@ -196,28 +195,6 @@ def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: f
         found = least_absolute_deviations(columns, torque, near)
         assert found.certificate < 1e-9
         assert found.fitness == pytest.approx(plain.fitness, rel=1e-12)
-
-
-@pytest.mark.parametrize("kind", ["normal", "outliers"])
-@pytest.mark.parametrize("is_near", [False, True])
-@pytest.mark.parametrize("rows", [300, 9000])
-def test_rows_that_are_not_too_many_take_the_short_way_to_the_optimum_of_the_long_one(
-    kind: str, is_near: bool, rows: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for seed in (0, 5):
-        columns, torque = recording(kind, rows, 1 + seed, np.random.default_rng(seed))
-        short = solve_few(columns, torque, np.ones(columns.shape[1]) if is_near else None)
-        with monkeypatch.context() as without:
-            without.setattr(exact, "solve_few", lambda *_: None)
-            long = least_absolute_deviations(columns, torque)
-        assert short is not None
-        assert short[0] == pytest.approx(long.genes, rel=1e-9)
-        assert short[2] == long.unique
-
-
-def test_few_rows_that_are_tied_or_dependent_go_the_long_way() -> None:
-    for kind in ("collinear", "a zero column", "counts"):
-        assert solve_few(*recording(kind, 300, 3, np.random.default_rng(0)), None) is None
 
 
 @pytest.mark.study
