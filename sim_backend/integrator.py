@@ -36,6 +36,21 @@ _STRETCH = 1.1
 REMEMBERED = 4096
 """Number of past steps that are stored for sensors with a delay."""
 
+TABLEAU = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
+        [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
+        [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]
+)
+"""The weights of the slopes of the earlier stages in the state of each stage; the last row is the solution."""
+ERRORS = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+"""The weights of the slopes of all stages in the estimated error."""
+
 # The rows of a path.
 CLOCK, STATE, TRIAL, SLOPES = range(4)
 """Rows of a `Path`: clock; present state; state at the end of the step that is tried; from SLOPES on, the slopes of the
@@ -64,25 +79,24 @@ def integrate(path: Path, demand: float, until: float, constants: Packed) -> Non
 
     Has no effect if this time has passed. The state becomes NaN if that takes more than `MOST_STEPS` steps.
     """
-    clock, state, trial = path[CLOCK], path[STATE], path[TRIAL]
-    a, b, c, d, e = path[SLOPES], path[SLOPES + 1], path[SLOPES + 2], path[SLOPES + 3], path[SLOPES + 4]
-    f, g = path[SLOPES + 5], path[SLOPES + 6]
+    clock, state, trial, slopes = path[CLOCK], path[STATE], path[TRIAL], path[SLOPES:PAST]
     first, tried = 0, 0  # the slope jumps with the demand: the first step begins with a new one
     while clock[TIME] < until:
         tried += 1
         if tried > MOST_STEPS:
             state[:], clock[TIME] = math.nan, until
-            _remember(path, clock, state, a)
+            _remember(path)
             return
         left, proposed = until - clock[TIME], clock[STEP]
         step = left if left < _STRETCH * proposed else proposed
         for stage in range(first, 7):
-            _combine(stage, step, state, a, b, c, d, e, f, trial)
-            derivatives(trial, demand, constants[0], path[SLOPES + stage])
+            for i in range(STATES):
+                trial[i] = state[i] + step * _weighted(TABLEAU[stage], slopes, i, stage)
+            derivatives(trial, demand, constants[0], slopes[stage])
             if stage == 0:
-                _remember(path, clock, state, a)  # the past ends with the old slope, the future begins with this
+                _remember(path)  # the past ends with the old slope, the future begins with this
         first = 1
-        error = _error_over_tolerance(step, state, a, c, d, e, f, g, trial)
+        error = _error_over_tolerance(step, state, slopes, trial)
         wanted = 0.9 * error**-0.2 if error > 1e-4 else 5.0
         wanted = step * (0.2 if wanted < 0.2 else wanted if wanted < 5.0 else 5.0)
         if error > 1.0 and step > SHORTEST:
@@ -91,68 +105,42 @@ def integrate(path: Path, demand: float, until: float, constants: Packed) -> Non
         clock[TIME] = until if step == left else clock[TIME] + step
         for i in range(STATES):
             state[i] = trial[i]
-            a[i] = g[i]
-        _remember(path, clock, state, a)
+            slopes[0, i] = slopes[6, i]
+        _remember(path)
         if step >= proposed:
             clock[STEP] = SHORTEST if wanted < SHORTEST else wanted if wanted < LONGEST else LONGEST
 
 
-@compiled_within
-def _remember(path: Path, clock: Vector, state: Vector, slope: Vector) -> None:
+@compiled_no_refcount
+def _remember(path: Path) -> None:
     """Write time, state and slope to the ring buffer."""
-    entry = path[PAST + int(clock[WRITTEN]) % REMEMBERED]
+    clock, entry = path[CLOCK], path[PAST + int(path[CLOCK, WRITTEN]) % REMEMBERED]
     entry[0] = clock[TIME]
     for i in range(STATES):
-        entry[1 + i] = state[i]
-        entry[1 + STATES + i] = slope[i]
+        entry[1 + i] = path[STATE, i]
+        entry[1 + STATES + i] = path[SLOPES, i]
     clock[WRITTEN] += 1.0
 
 
 @compiled_within
-def _combine(  # noqa: PLR0917 - compiled functions take their parts by position
-    stage: int, h: float, y: Vector, a: Vector, b: Vector, c: Vector, d: Vector, e: Vector, f: Vector, x: Vector
-) -> None:
-    """Set x to the state at which the stage `stage` of a step from y evaluates its slope; for the last stage this is
-    the solution.
-
-    h: length of the step, s. a to f: the slopes of the earlier stages. The sums are written out, because a loop over
-    the table of coefficients takes twice the time.
-    """
-    for i in range(STATES):
-        if stage == 0:
-            x[i] = y[i]
-        elif stage == 1:
-            x[i] = y[i] + h * (a[i] / 5.0)
-        elif stage == 2:
-            x[i] = y[i] + h * (3.0 / 40.0 * a[i] + 9.0 / 40.0 * b[i])
-        elif stage == 3:
-            x[i] = y[i] + h * (44.0 / 45.0 * a[i] - 56.0 / 15.0 * b[i] + 32.0 / 9.0 * c[i])
-        elif stage == 4:
-            slope = 19372.0 / 6561.0 * a[i] - 25360.0 / 2187.0 * b[i] + 64448.0 / 6561.0 * c[i]
-            x[i] = y[i] + h * (slope - 212.0 / 729.0 * d[i])
-        elif stage == 5:
-            slope = 9017.0 / 3168.0 * a[i] - 355.0 / 33.0 * b[i] + 46732.0 / 5247.0 * c[i]
-            x[i] = y[i] + h * (slope + 49.0 / 176.0 * d[i] - 5103.0 / 18656.0 * e[i])
-        else:
-            slope = 35.0 / 384.0 * a[i] + 500.0 / 1113.0 * c[i] + 125.0 / 192.0 * d[i]
-            x[i] = y[i] + h * (slope - 2187.0 / 6784.0 * e[i] + 11.0 / 84.0 * f[i])
+def _weighted(weights: Vector, slopes: Vector, i: int, stages: int) -> float:
+    """Return the sum of the slopes of the first stages of the component i of the state, each times its weight."""
+    total = 0.0
+    for k in range(stages):
+        total += weights[k] * slopes[k, i]
+    return total
 
 
 @compiled_within
-def _error_over_tolerance(  # noqa: PLR0917 - compiled functions take their parts by position
-    h: float, y: Vector, a: Vector, c: Vector, d: Vector, e: Vector, f: Vector, g: Vector, x: Vector
-) -> float:
-    """Return the largest ratio of estimated error to tolerance over the components of the state, for a step from y to
-    x.
-
-    h: length of the step, s. a to g: the slopes of the stages (b is not needed).
+def _error_over_tolerance(step: float, state: Vector, slopes: Vector, trial: Vector) -> float:
+    """Return the largest ratio of estimated error to tolerance over the components of the state, for a step from state
+    to trial.
     """
     worst = 0.0
     for i in range(STATES):
-        error = 71.0 / 57600.0 * a[i] - 71.0 / 16695.0 * c[i] + 71.0 / 1920.0 * d[i]
-        error += -17253.0 / 339200.0 * e[i] + 22.0 / 525.0 * f[i] - g[i] / 40.0
-        before, after = abs(y[i]), abs(x[i])
-        ratio = abs(h * error) / (ABSOLUTE[i] + RELATIVE * (after if after > before else before))
+        before, after = abs(state[i]), abs(trial[i])
+        error = abs(step * _weighted(ERRORS, slopes, i, 7))
+        ratio = error / (ABSOLUTE[i] + RELATIVE * (after if after > before else before))
         worst = ratio if ratio > worst else worst
     return worst
 

@@ -216,7 +216,7 @@ def coupling_torque(state: Vector, constants: Packed) -> float:
     return passed_on(state, deflection, rate, bristle_rate(state[BRISTLE], rate, c), c)
 
 
-@compiled_within
+@compiled_no_refcount
 def derivatives(state: Vector, demand: float, c: Constants, out: Vector) -> None:
     """Write the rate of change of `state` into `out`; both have the shape (STATES,).
 
