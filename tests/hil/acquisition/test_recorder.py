@@ -146,6 +146,8 @@ def test_a_lost_reply_is_a_counted_gap_and_no_value_is_invented(
     assert np.flatnonzero(bench.channel("status") == int(status)).tolist() == [50, 90]
     for name in ("torque", "dtheta", "motor_position", "read_time", "temperature"):
         assert np.flatnonzero(np.isnan(bench.channel(name))).tolist() == [50, 90]
+    np.testing.assert_allclose(bench.channel("time"), np.arange(201) / RATE, atol=1e-9)
+    np.testing.assert_allclose(bench.channel("command"), bench.profile.at(np.arange(201) / RATE))
 
 
 def test_silence_ends_the_run_with_the_torque_off(bench: Bench) -> None:

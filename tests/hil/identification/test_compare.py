@@ -19,6 +19,7 @@ from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
 from hil.identification import compare as comparison
 from hil.identification.compare import Measured, Repeated, compare
+from hil.identification.identify import identify_sources
 from hil.identification.result import Estimate, Repeatability, standard_error
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.report.comparison import as_json
@@ -97,6 +98,16 @@ def test_an_uncertain_torque_hides_no_difference_and_is_in_the_pooled_interval()
     low, high = before.pooled.ci95
     half = math.hypot(0.5 * (high - low), 1.959964 * 0.05 * before.pooled.value)
     assert after.pooled.ci95 == pytest.approx((after.pooled.value - half, after.pooled.value + half), rel=1e-4)
+
+
+@pytest.mark.parametrize(("doubted", "compared"), [("Kc", {"Bc"}), ("Bc", {"Kc"}), (None, set())])
+def test_a_parameter_with_an_error_is_not_compared(
+    make_recording: Maker, doubted: str | None, compared: set[str]
+) -> None:
+    doubt = Diagnostic("unusable", "-", doubted, is_error=True)
+    with open_sources([make_recording("a.h5", samples=600, noise=1e-5)]) as sources:
+        found = replace(identify_sources(sources, parse_model("linear"), SEARCH), diagnostics=(doubt,))
+        assert comparison._measured(sources[0], None, 0.0, None, found).identifiable == compared
 
 
 @pytest.mark.study

@@ -195,6 +195,10 @@ def test_a_misfit_ends_with_status_1_and_names_the_effect(tmp_path: Path, capfd:
 
     assert status == 1
     message = next(one["message"] for one in found["errors"] if one["code"] == "misfit")
+    said = re.fullmatch(r"model linear does not describe this recording: Kc and Bc differ (.+?); (.+?); the.+", message)
+    assert said is not None
+    assert "between loading and unloading (Kc by " in said[1]
+    assert said[2] == "the torque is not in proportion to deflection and rate"  # in which no parts are compared
     assert "friction in proportion to the torque" in message
     assert "Kc may be wrong by" in message
 
