@@ -257,8 +257,8 @@ def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argpa
         if process.poll() is not None:
             raise EndedBefore
         recorder = process_of(how.start, process.pid)
+        sent = time.monotonic()  # before it: the guardian may be faster than this line
         os.kill(recorder, getattr(signal, f"SIG{how.signal}"))
-        sent = time.monotonic()
         while settings.patient and math.isinf(log.ended(sent)[0]) and time.monotonic() < sent + PATIENCE:
             time.sleep(0.05)
         time.sleep(SETTLED)

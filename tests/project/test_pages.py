@@ -34,7 +34,7 @@ NOT_RUN = {
     "docs/extending.md ```python": "are parts of a module; test_extending.py puts each in its place",
 }
 """Blocks that are not run, by the beginning of their text, or by language, and why."""
-SLOW = ("no reply for 3 ticks in a row", "was slow to answer")
+SLOW = ("no reply for 3 ticks in a row", "was slow to answer", "beyond the wire's time")
 """What a command says of an emulator whose answer a pty kept for 60 ms: the kernel carries it in a thread that waits
 for a core like any program, however urgent the two ends are. Such a block is pasted again, at most three times."""
 BEFORE = {"docs/file_format.md": "hil record --quiet --backend sim --duration 4 --fade 0.2 -o run1.h5"}
