@@ -26,6 +26,7 @@ from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.confidence import covariance
 
 from ..conftest import Maker
+from .chirps import chirp, signals
 from .conftest import SEARCH
 
 KC, BC = 0.0178, 1.9e-4
@@ -340,6 +341,31 @@ def test_the_interval_of_the_damping_holds_what_friction_that_falls_hides(
     assert all(abs(error) < half_width for error, half_width in found)
     assert abs(plain[0][0]) < plain[0][1]
     assert abs(plain[1][0]) > 3.0 * plain[1][1]
+
+
+@pytest.mark.study
+def test_friction_that_builds_up_over_its_torque_over_kc_is_half_as_far_beside_the_interval(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It stiffens small motion, which the selected friction that turns at once leaves to Kc."""
+    time, friction = np.arange(6000) / 300.0, 5e-4
+    moved, model = chirp(time, 0.2, 8.0), parse("linear+coulomb")
+    state, rubbing = 0.0, np.empty(len(time))
+    for at, step in enumerate(np.diff(moved.dtheta, prepend=moved.dtheta[0]).tolist()):
+        state = np.sign(step) + (state - np.sign(step)) * math.exp(-abs(step) * KC / friction)
+        rubbing[at] = friction * state
+    noise = 3e-4 * np.random.default_rng(0).standard_normal(len(time))
+    read = signals(moved.motion, KC * moved.dtheta + BC * moved.rate + rubbing + noise, 8.0)
+    chosen = Step(model.name, "linear", 0.0, 0.0, np.nan, KC, BC, included=True, cost=0.0)
+
+    def beside() -> float:
+        choice, used = Choice(model, (chosen,), sticking=True), np.ones(len(time), dtype=bool)
+        kc = average.averaged(choice, read, used, np.empty(0), {"Kc": 0.0, "Bc": 0.0})["Kc"]
+        return abs(kc.value - KC) / kc.half_width
+
+    found = beside()
+    monkeypatch.setattr(largest, "_building_up", lambda *_: None)
+    assert found < 0.5 * beside()
 
 
 @pytest.mark.study
