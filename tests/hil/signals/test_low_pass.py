@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfilt
 
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
+from hil.signals import constants
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing, transform_size
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial
 from hil.signals.rate.spectrum import Spectrum
@@ -142,7 +143,12 @@ def test_torque_and_deflection_have_the_same_band_where_the_joint_moves_faster_t
     assert left(value, rate, window.alike(TIME, torque)) < noise
 
 
-def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do() -> None:
+@pytest.mark.parametrize("kept", [constants.KEPT_WEIGHTS, 1000])
+def test_readings_at_stamps_asked_for_again_pass_as_the_first_ones_do(
+    monkeypatch: pytest.MonkeyPatch, kept: int
+) -> None:
+    """kept: the number of stamps from which the weights of one would take too much memory."""
+    monkeypatch.setattr(constants, "KEPT_WEIGHTS", kept)
     rng = np.random.default_rng(0)
     time = (TIME + 2e-4 * rng.uniform(-1.0, 1.0, len(TIME)))[rng.random(len(TIME)) > 0.05]
     found = low_pass(time)
