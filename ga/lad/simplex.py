@@ -46,7 +46,7 @@ length of the direction, because rounding grows with this length if the rows of 
 
 
 class Room(NamedTuple):
-    """Working space of a descent over n rows of r columns: vectors (n,) and (r,), matrices (r, r).
+    """Working space of a descent over n rows of r columns: vectors (n,) and (r,), a matrix (r, r).
 
     weight (n,): at first the sign of each residual, later the weight of each point at which a residual changes sign.
     """
@@ -60,7 +60,6 @@ class Room(NamedTuple):
     direction: Vector
     downhill: Vector
     inverse: Matrix
-    met: Matrix
 
 
 def room_for(n: int, r: int) -> Room:
@@ -77,7 +76,6 @@ def room_for(n: int, r: int) -> Room:
         direction=direction,
         downhill=downhill,
         inverse=np.empty((r, r)),
-        met=np.zeros((r, r)),
     )
 
 
@@ -101,10 +99,10 @@ def step_down(  # noqa: PLR0917 - compiled functions take their parts by positio
     """
     r, short_steps = basis.size, 0
     for i in range(r):
-        basis[i] = -1
+        basis[i], room.point[i] = -1, start[i]
+        for k in range(r):
+            room.inverse[i, k] = 1.0 if i == k else 0.0
     for _ in range(_MOST):
-        if short_steps >= 4 * r + 8 or not _to_vertex(rows, torque, start, basis, room):
-            return STALLED
         _residuals(rows, torque, room.point, room.residual)
         for i in range(r):
             if basis[i] >= 0:
@@ -121,51 +119,34 @@ def step_down(  # noqa: PLR0917 - compiled functions take their parts by positio
         is_short = basis[leaving] >= 0 and step * length < 1e-13 * (1.0 + _length(room.point))
         short_steps = short_steps + 1 if is_short else 0
         basis[leaving] = entering
+        if short_steps >= 4 * r + 8 or not _exchange(rows, torque, start, basis, leaving, room):
+            return STALLED
     return STALLED
 
 
 @compiled_within
-def _to_vertex(rows: Matrix, torque: Vector, start: Vector, basis: Basis, room: Room) -> bool:
-    """Invert the rows of the basis and move to the point where their residuals are zero; return False if the rows are
-    dependent.
+def _exchange(rows: Matrix, torque: Vector, start: Vector, basis: Basis, new: int, room: Room) -> bool:  # noqa: PLR0917 - compiled functions take their parts by position
+    """Update the inverse of the basis, whose row with the index `new` is another one now, and move to the point where
+    the residuals of its rows are zero; return False if the rows are dependent.
     """
-    r, inverse, met, point = basis.size, room.inverse, room.met, room.point
-    for i in range(r):
-        at = basis[i]
-        for k in range(r):
-            inverse[i, k] = 1.0 if i == k else 0.0
-            met[i, k] = rows[k, at] if at >= 0 else inverse[i, k]
-    if not _invert(met, inverse):
+    r, inverse, point, entered = basis.size, room.inverse, room.point, basis[new]
+    pivot = 0.0
+    for k in range(r):
+        pivot += rows[k, entered] * inverse[k, new]
+    if not abs(pivot) > 0.0:
         return False
+    for k in range(r):
+        inverse[k, new] /= pivot
+    for j in range(r):
+        part = 0.0
+        for k in range(r):
+            part += rows[k, entered] * inverse[k, j]
+        for k in range(r):
+            inverse[k, j] -= part * inverse[k, new] if j != new else 0.0
     for k in range(r):
         point[k] = 0.0
         for j in range(r):
             point[k] += inverse[k, j] * (torque[basis[j]] if basis[j] >= 0 else start[j])
-    return True
-
-
-@compiled_within
-def _invert(left: Matrix, inverse: Matrix) -> bool:
-    """Multiply `inverse` by the inverse of `left` (Gauss-Jordan elimination with pivots); return False if `left` is
-    singular. Both are overwritten.
-    """
-    r = len(left)
-    for k in range(r):
-        pivot = k
-        for i in range(k + 1, r):
-            if abs(left[i, k]) > abs(left[pivot, k]):
-                pivot = i
-        size = left[pivot, k]
-        if not abs(size) > 0.0:
-            return False
-        for j in range(r):
-            left[pivot, j], left[k, j] = left[k, j], left[pivot, j] / size
-            inverse[pivot, j], inverse[k, j] = inverse[k, j], inverse[pivot, j] / size
-        for i in range(r):
-            part = 0.0 if i == k else left[i, k]
-            for j in range(r):
-                left[i, j] -= part * left[k, j]
-                inverse[i, j] -= part * inverse[k, j]
     return True
 
 
