@@ -5,9 +5,9 @@
 
 `run` changes the source files of the checkout in which it is started, one after the other, and restores each: start it
 in a clone. The coverage file holds which test runs which line (`pytest --cov --cov-context=test`, and `coverage
-combine`). Coverage does not see compiled functions: for a line in one, the tests of the folder that mirrors the
-module's are run. A mutant is found again in a changed source by the name of its function and the text of its line; a
-row says `gone` where that line is no longer there.
+combine`). Coverage does not see compiled functions: for a line in one, the tests of its package are run. A mutant is
+found again in a changed source by the name of its function and the text of its line; a row says `gone` where that line
+is no longer there.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def found(mutant: Mutant) -> tuple[str, int, bool] | None:
 
 
 def covering(data: coverage.CoverageData, path: str, line: int, *, machine: bool) -> list[str]:
-    """Return the tests that run a line; for a compiled function, the folder of tests that mirrors the module's."""
+    """Return the tests that run a line, and all of its package for a line of a compiled function."""
     measured = [name for name in data.measured_files() if name.endswith("/" + path)]
     tests = {
         context.rpartition("|")[0]
@@ -162,8 +162,7 @@ def covering(data: coverage.CoverageData, path: str, line: int, *, machine: bool
         if context
     }
     if machine:
-        folder = Path("tests") / Path(path).parent
-        tests |= {str(folder if folder.is_dir() else folder.parent)}
+        tests |= {f"tests/{Path(path).parts[0]}"}
     return sorted(tests)
 
 
