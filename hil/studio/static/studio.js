@@ -405,6 +405,7 @@
       const refused = await ask("/token", { token }).then(() => null, (error) => error);
       await refresh().catch((error) => { throw refused || error; });  // a browser that is in already needs no link
     } else await refresh();
+    document.querySelectorAll("[inert]").forEach((one) => { one.inert = false; });  // no click before there is a stand
     go("stand");
     connect();
   }

@@ -333,6 +333,22 @@ def test_a_key_right_after_start_stops_too(opened: Opened, tmp_path: Path) -> No
         page.locator("body[data-moving=no]").wait_for()
 
 
+def test_a_click_before_the_page_knows_its_stands_does_nothing(opened: Opened, tmp_path: Path) -> None:
+    held: list[Any] = []
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.route("**/api/folder*", lambda route: held.extend([route]), times=1)
+        page.reload()
+        wait_until(lambda: bool(held), lambda: page.wait_for_timeout(10))
+        for button in ("#to-record", "nav button[data-step=record]"):
+            place = page.locator(button).bounding_box()
+            assert place is not None
+            page.mouse.click(place["x"] + place["width"] / 2.0, place["y"] + place["height"] / 2.0)
+        held[0].continue_()
+        page.click("#to-record")
+        page.locator("#record").wait_for()
+
+
 def test_a_key_that_overtakes_the_start_stops_the_run_that_then_begins(opened: Opened, tmp_path: Path) -> None:
     """The server hears of the key before the start; the page hears the answer to it before it hears of the run."""
     starts: list[Any] = []
