@@ -257,7 +257,7 @@ def trial(adapter: Adapter, output: Path, how: How, wait: float, settings: argpa
         if process.poll() is not None:
             raise EndedBefore
         recorder = process_of(how.start, process.pid)
-        sent = time.monotonic()  # before it: the guardian may be faster than this line
+        sent = time.monotonic()  # taken first: the guardian may have acted before the next line ends
         os.kill(recorder, getattr(signal, f"SIG{how.signal}"))
         while settings.patient and math.isinf(log.ended(sent)[0]) and time.monotonic() < sent + PATIENCE:
             time.sleep(0.05)

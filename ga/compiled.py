@@ -85,9 +85,9 @@ def compiled_within(function: Callable[P, R]) -> Callable[P, R]:
     """Return `function`, whose lines are compiled as a part of the compiled function that calls it.
 
     This is for a function that is short, or called from one or two places: it takes half as long as compiling a
-    separate function, whose machine code is not used once it is inlined. Not for many branches, or a function that such
-    functions are a part of: numba copies each block with all variables, twice. A function whose name begins with an
-    underscore must not be called from Python.
+    separate function, whose machine code is not used once it is inlined. A function with many branches is compiled
+    faster as a separate function: numba copies each of its blocks, with all variables, twice. A function whose name
+    begins with an underscore must not be called from Python.
     """
     return _compiled(function, **_no_refcount(function), inline="always")
 

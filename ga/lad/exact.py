@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -97,7 +96,7 @@ def least_absolute_deviations(
     are not finite, not of equal length or empty, RuntimeError if no certificate could be reached.
     """
     check(columns, torque)
-    scaled = columns.T.copy()  # a column after the other: a processor computes neighbours at once
+    scaled = columns.T.copy()  # each column contiguous, because a processor computes several neighbours at once
     sizes = np.abs(scaled)
     scale, extent = sizes.max(axis=1), sizes.sum(axis=1)
     scale[scale == 0.0] = extent[extent == 0.0] = 1.0
@@ -305,10 +304,11 @@ def _solve(
     the rows is repeated with more rows, up to all.
     """
     r, n = rows.shape
-    if is_near and n > _FEWEST and (basis := _bracketed(rows, torque, start, n, tries=1)) is not None:
+    if is_near and n > _FEWEST and (basis := _bracketed(rows, torque, start, n, once=True)) is not None:
         return basis
     if n <= _ALL:
-        return _descend(rows, torque, np.zeros(r), start)[1]
+        status, basis = descend(rows, torque, np.zeros(r), start)
+        return basis if status == OPTIMAL else None
     some = _sample(n, max(_SOME, n // _PART))
     basis = _solve(rows.take(some, axis=1), torque[some], start, is_near=False, patient=patient)
     if basis is None:
@@ -332,34 +332,33 @@ def _bracketed(
     centre: NDArray[np.float64],
     count: int,
     *,
-    tries: int | None = None,
+    once: bool = False,
     patient: bool = False,
 ) -> NDArray[np.int64] | None:
     """Return the optimal basis, searched with the rows that can change sign around the centre (r,), in growing regions.
 
-    centre: an estimate of the optimum, as good as one from `count` rows. tries: the largest number of regions; None for
-    no limit. patient: whether a stalled descent is repeated with more rows.
+    centre: an estimate of the optimum, as good as one from `count` rows. once: whether only the first
+    region is searched. patient: whether a stalled descent is repeated with more rows.
     """
     residual = torque - _times(rows, centre)
     sizes, lengths = np.abs(residual), np.sqrt(np.einsum("kn,kn->n", rows, rows))
     reach = _SPREAD * float(np.mean(sizes)) * np.sqrt(len(centre) / count)
-    for _ in range(tries) if tries else repeat(None):
+    while True:
         # within `reach` of the centre these rows keep their sign (Cauchy-Schwarz): together they are one linear term
         settled = sizes > reach * lengths
         pull = _weighted_sum(rows, np.where(settled, np.sign(residual), 0.0))
         open_rows = np.flatnonzero(~settled)
-        status, found = _descend(rows.take(open_rows, axis=1), torque[open_rows], pull, centre)
+        status, found = descend(rows.take(open_rows, axis=1), torque[open_rows], pull, centre)
         if status == STALLED and not patient:
             return None
-        if found is not None:
+        if status == OPTIMAL:
             basis = open_rows[found]
             met = rows[:, basis].T
             if _is_vertex(met) and np.linalg.norm(np.linalg.solve(met, torque[basis]) - centre) <= reach:
                 return basis
-        if not settled.any():
+        if once or not settled.any():
             return None
         reach = 4.0 * max(reach, 1e-300)
-    return None
 
 
 def _is_vertex(basis: NDArray[np.float64]) -> bool:
@@ -379,10 +378,3 @@ def _times(rows: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np
 def _weighted_sum(rows: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sum (r,) of rows (r, n), each multiplied by its weight (n,), computed in one thread."""
     return np.asarray(np.einsum("kn,n->k", rows, weights))
-
-
-def _descend(
-    rows: NDArray[np.float64], torque: NDArray[np.float64], pull: NDArray[np.float64], start: NDArray[np.float64]
-) -> tuple[int, NDArray[np.int64] | None]:
-    status, basis = descend(np.ascontiguousarray(rows), torque, pull, start)
-    return status, basis if status == OPTIMAL else None

@@ -59,6 +59,15 @@ def noise(size: float, seed: int = 1, samples: int = SAMPLES) -> Array:
     return np.asarray(size * np.random.default_rng(seed).standard_normal(samples))
 
 
+def building_up(moved: Moved, reach: float, friction: float = 2e-3) -> Array:
+    """Friction, N m, that builds up over `reach` rad, integrated step by step."""
+    states, state = np.empty(len(moved.time)), 0.0
+    for at, step in enumerate(np.diff(moved.dtheta, prepend=moved.dtheta[0]).tolist()):
+        state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / reach)
+        states[at] = state
+    return friction * states
+
+
 def with_error(error: float) -> Window:
     """A window of readings of the deflection with an error, rad, one standard deviation, whose rates are right."""
     return Window(6, 6, 1.0 / RATE, (0.0, HIGHEST), 0.0, error, 0.0, unseen=np.inf)

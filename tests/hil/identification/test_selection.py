@@ -25,6 +25,7 @@ from .chirps import (
     SAMPLES,
     TIME,
     Moved,
+    building_up,
     chirp,
     linear,
     noise,
@@ -47,15 +48,6 @@ def beyond(gap: float, angle: Array = ANGLE) -> Array:
 def with_play() -> Array:
     torque = KC * beyond(0.015) + BC * SPEED
     return np.where(beyond(0.015) * torque > 0.0, torque, 0.0)
-
-
-def sheathed(moved: Moved, reach: float) -> Array:
-    """Friction that builds up over `reach` rad, N m, integrated step by step."""
-    states, state = np.empty(len(moved.time)), 0.0
-    for at, step in enumerate(np.diff(moved.dtheta, prepend=moved.dtheta[0]).tolist()):
-        state = np.sign(step) + (state - np.sign(step)) * np.exp(-abs(step) / reach)
-        states[at] = state
-    return 2e-3 * states
 
 
 def squared(rate: Array) -> Array:
@@ -126,7 +118,7 @@ def test_friction_that_builds_up_falls_with_the_rate_only_where_it_does(rise: fl
 @pytest.mark.study
 def test_friction_that_builds_up_is_found_beside_a_gap() -> None:
     moved = slow()
-    torque = KC * beyond(0.1, moved.dtheta) + sheathed(moved, 0.02) + 1e-3 + noise(5e-5, samples=len(moved.time))
+    torque = KC * beyond(0.1, moved.dtheta) + building_up(moved, 0.02) + 1e-3 + noise(5e-5, samples=len(moved.time))
     found = selected(signals(moved.motion, torque, 0.5))
     assert {"dahl", "lugre", "gear", "boucwen"}.intersection(found.chosen.terms)
     assert found.chosen.stiffness == pytest.approx(KC, rel=0.02)
@@ -217,7 +209,7 @@ def judged(fits: Fits, *terms: str) -> tuple[Criterion, Candidate]:
 
 def test_friction_that_falls_with_speed_pays_with_the_damping_at_its_bound() -> None:
     moved = slow()
-    torque = KC * moved.dtheta + sheathed(moved, 0.02) - BC * moved.rate + noise(1e-4, samples=len(moved.time))
+    torque = KC * moved.dtheta + building_up(moved, 0.02) - BC * moved.rate + noise(1e-4, samples=len(moved.time))
     fits = Fits(moved.motion, torque, 0.5)
     criterion, larger = judged(fits, "dahl")
     smaller = fits.candidate(("linear",), {})
@@ -240,7 +232,7 @@ def test_a_term_that_makes_an_earlier_one_idle_is_still_judged_by_its_own_column
 def test_a_richer_law_is_held_against_the_model_in_the_place_of_the_law_that_it_contains() -> None:
     """`lugre` with no rise is `dahl`: it fits no worse, and does not pay for its two parameters more."""
     moved = slow()
-    torque = linear(moved) + sheathed(moved, 0.02) + noise(2e-5, samples=len(moved.time))
+    torque = linear(moved) + building_up(moved, 0.02) + noise(2e-5, samples=len(moved.time))
     fits = Fits(moved.motion, torque, 0.5)
     criterion, chosen = judged(fits, "dahl")
     _, included, *_, rejected = Beside(fits, criterion, ("dahl", "lugre"), {"lugre": {}}).steps(chosen)
