@@ -41,6 +41,7 @@ settings.load_profile("hil")
 
 SOFTWARE = functools.cache(writer._software)
 UNSEARCHED = SimpleNamespace(collect=int, freeze=gc.freeze, unfreeze=gc.unfreeze)
+IN_TURN = ("tests/hil/studio/test_browser.py", "tests/project/test_pages_with_a_drive.py")
 SHARED = Path(os.environ.get("HIL_SHARED", Path(__file__).parent.parent.parent / "shared"))
 
 
@@ -68,6 +69,21 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     """One stand has one motor: with --stand the tests run one after the other."""
     if config.getoption("--stand") is not None:
         config.option.numprocesses, config.option.dist = 0, "no"
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Hand the files of `IN_TURN` to one worker: a drive that waits for a core beside a browser has late ticks."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class InTurn(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return "in turn" if file in IN_TURN else file
+
+    return InTurn(config, log)
 
 
 def pytest_collection_finish() -> None:

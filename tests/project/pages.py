@@ -9,11 +9,15 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
+import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 NOTEBOOK = ROOT / "examples" / "first_steps.ipynb"
@@ -21,6 +25,22 @@ _BLOCK = re.compile(r"(?:<!-- ([^>]+?) -->\n\s*)?^```(\w+)\n(.*?)^```$", re.DOTA
 _NAN = re.compile(r"\bnan\b")
 _BUSY = 3.0
 """s of processor time that each busy program takes."""
+NOT_RUN = {
+    "python3 -m venv": ".ci/run installs what it tests, and would install it again for each page",
+    "```mermaid": "is a picture",
+    "```text": "is an output, or needs root and an adapter, or would change this environment",
+    "```cpp": "needs a board",
+    "```matlab": "needs MATLAB",
+    "```julia": "needs Julia",
+    "docs/extending.md ```python": "are parts of a module; test_extending.py puts each in its place",
+}
+"""Blocks that are not run, by the beginning of their text, or by language, and why."""
+_LATE = re.compile(r"^status [134] of: (?:\w+=\$\()?hil (?!identify)", re.MULTILINE)
+"""What a shell says of a command whose drive failed, or whose ticks were late. An emulator behind a pty does so where
+the kernel keeps its answer, in a thread that waits for a core like any program, however urgent the two ends are. Such a
+block is pasted again, at most three times: what is broken fails each time."""
+BEFORE = {"docs/file_format.md": "hil record --quiet --backend sim --duration 4 --fade 0.2 -o run1.h5"}
+"""What a page's reader has in the folder, beside what the page lets them write."""
 _STATUS = "trap 'echo \"status $? of: $BASH_COMMAND\" >&2; exit 1' ERR\nset -o pipefail\n"
 
 
@@ -38,6 +58,15 @@ class Block(NamedTuple):
         if self.language == "console":
             return [line[2:] for line in lines if line.startswith("$ ")]
         return lines if self.language == "sh" else []
+
+    @property
+    def has_a_drive(self) -> bool:
+        """Whether it starts an emulated drive, in real time."""
+        return self.language == "sh" and "--background" in self.text
+
+
+def has_a_drive(page: str) -> bool:
+    return any(block.has_a_drive for block in blocks(page))
 
 
 def page_names() -> list[str]:
@@ -119,3 +148,76 @@ def busy_machine() -> Iterator[None]:
         for loop in loops:
             loop.kill()
             loop.wait()
+
+
+def reason_not_to_run(page: str, block: Block) -> str | None:
+    starts = (block.text, f"```{block.language}", f"{page} ```{block.language}")
+    return next((why for beginning, why in NOT_RUN.items() if any(s.startswith(beginning) for s in starts)), None)
+
+
+def read(reader: Reader, page: str, *, busy: bool = False) -> None:
+    """Paste every block of a page that can run here. busy: whether each drive is used while other programs run."""
+    for block in blocks(page):
+        if reason_not_to_run(page, block) is None:
+            _read(reader, block, busy=busy)
+
+
+def _read(reader: Reader, block: Block, *, busy: bool) -> None:
+    """Paste a block, and hold the output of a transcript against what it shows.
+
+    Where ticks of a drive may be late, since the machine is busy, a result may be untrustworthy, status 1.
+    """
+    name = block.mark.removeprefix("write ")
+    if name != block.mark:
+        (reader.folder / name).write_text(block.text, encoding="utf-8")
+    elif block.language == "toml":
+        tomllib.loads(block.text)
+    elif block.language == "console":
+        for command, shown in zip(block.commands, re.split(r"^\$ .+\n", block.text, flags=re.M)[1:], strict=True):
+            _assert_alike(shown, reader.paste(command))
+    elif block.language == "python":
+        (reader.folder / ".block.py").write_text(block.text, encoding="utf-8")
+        reader.paste("python .block.py")
+    elif block.has_a_drive:
+        with busy_machine() if busy else nullcontext():
+            _use_a_drive(reader, re.sub(r"^(hil identify .*)$", r"\1 || [ $? = 1 ]", block.text, flags=re.M))
+    else:
+        assert block.language == "sh", f"a block of {block.language} is neither run nor in NOT_RUN"
+        reader.paste(block.text)
+
+
+def _use_a_drive(reader: Reader, lines: str) -> None:
+    for _ in range(3):
+        try:
+            reader.paste(lines)
+        except AssertionError as error:
+            if not _LATE.search(str(error)):
+                raise
+            warnings.warn(f"pasted again: {error}", stacklevel=2)
+        else:
+            return
+    reader.paste(lines)
+
+
+_NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_MACHINE = re.compile(
+    r"optimiser gap \S+|\d+ evaluations in \S+ s|^(searching|compiling|loading|starting).*$", re.MULTILINE
+)
+"""What depends on the machine and the moment: the optimiser's last digits, times, and progress."""
+
+
+def _lines(text: str) -> list[tuple[str, list[str]]]:
+    """The words of every line, sorted, with its numbers: tables and messages come from two streams."""
+    shown = [" ".join(line.split()) for line in _MACHINE.sub("...", text).splitlines() if line.strip(" .")]
+    return sorted((_NUMBER.sub("#", line), _NUMBER.findall(line)) for line in shown)
+
+
+def _assert_alike(shown: str, printed: str) -> None:
+    """Words are equal and numbers within 1 % or the last digit shown: other processors round sums differently."""
+    expected, found = _lines(shown), _lines(printed)
+    assert [words for words, _ in expected] == [words for words, _ in found]
+    for (words, numbers), (_, others) in zip(expected, found, strict=True):
+        for number, other in zip(numbers, others, strict=True):
+            digits = len(number.partition("e")[0].partition(".")[2])
+            digit = 1.01 * 10.0**-digits if digits else 0.0
+            assert float(other) == pytest.approx(float(number), rel=0.01, abs=digit), words
