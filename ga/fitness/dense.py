@@ -170,7 +170,7 @@ def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> f
     return _plain_error(samples, genes)
 
 
-@compiled_no_refcount
+@compiled_within
 def _open_error(samples: Samples) -> float:
     """Return the sum of the absolute residuals of the rows that are computed one by one."""
     # plain indices and scalars: an iterated block or an indexed gene in the inner loop keeps it from the vector units
