@@ -125,9 +125,9 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Opened]:
 
         yield begin
     driver.clear()
-    gc.collect()  # the threads of its event loop end with it
+    gc.collect()  # the threads of its event loop end with it, one of them when it has seen the driver's process end
     for thread in threading.enumerate():
-        if thread.name.startswith("asyncio_"):
+        if thread.name.startswith("asyncio"):
             thread.join()
     assert faults == []
 
