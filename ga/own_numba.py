@@ -14,8 +14,8 @@ from typing import Any
 
 @contextmanager
 def _no_settings_read() -> Iterator[None]:
-    """Hide the reader of the settings file from numba in a `with` block. A program that has imported numba before has
-    read the file already.
+    """Keep numba from reading its settings file in a `with` block: hide the YAML module from it. A program that has
+    imported numba before has read the file already.
     """
     before: Any = sys.modules.get("yaml", ...)
     sys.modules["yaml"] = None  # type: ignore[assignment] # an import raises ImportError

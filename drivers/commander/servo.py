@@ -255,7 +255,7 @@ class CommanderServo:
         text = f"{math.floor(value * 1e5) / 1e5:.5f}"
         kept = number(self._link.ask(f"{self._m}{command}{text}", f"{self._m}{command}"))
         if kept is None or abs(kept - float(text)) > 1e-4 * value:
-            raise DriverError(f"the board keeps a {name} limit of {kept} where {text} was sent: it was refused")
+            raise DriverError(f"the board refused a {name} limit of {text} and keeps {kept}")
 
     def _is_zero(self, line: str) -> bool | None:
         value = number(line[len(self._m) :]) if line.startswith(self._m) else None

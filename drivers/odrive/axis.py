@@ -86,8 +86,8 @@ class Axis:
         beats = self.beats
         if not self.requests.wait_until(self.patience, lambda: self.beats > beats):
             raise NoReply(
-                f"ODrive axis {self._config.id} answers, but sends no heartbeat within {self.patience:.3g} s, and its "
-                "state is known from the heartbeat only: set its period to 0.1 s, heartbeat_msg_rate_ms = 100 "
+                f"ODrive axis {self._config.id} answers, but sends no heartbeat within {self.patience:.3g} s, and only "
+                "the heartbeat tells its state: set the heartbeat's period to 0.1 s, heartbeat_msg_rate_ms = 100 "
                 "(firmware 0.5: heartbeat_rate_ms), with odrivetool"
             )
 

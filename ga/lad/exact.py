@@ -337,8 +337,8 @@ def _bracketed(
 ) -> NDArray[np.int64] | None:
     """Return the optimal basis, searched with the rows that can change sign around the centre (r,), in growing regions.
 
-    centre: an estimate of the optimum, as good as one from `count` rows. once: whether only the first
-    region is searched. patient: whether a stalled descent is repeated with more rows.
+    centre: an estimate of the optimum, as good as one from `count` rows. once: whether only the first region is
+    searched. patient: whether a stalled descent is repeated with more rows.
     """
     residual = torque - _times(rows, centre)
     sizes, lengths = np.abs(residual), np.sqrt(np.einsum("kn,kn->n", rows, rows))

@@ -139,5 +139,5 @@ def _excluded(one: str, other: str) -> bool:
 def _refuse_unknown(term: str) -> None:
     if term not in TERMS:
         near = difflib.get_close_matches(term, TERMS, n=1)
-        hint = f' - did you mean "{near[0]}"?' if near else ""
-        raise UnknownTerm(f'no model term "{term}"; there are {", ".join(TERMS)}{hint}')
+        hint = f' did you mean "{near[0]}"?' if near else ""
+        raise UnknownTerm(f'no model term "{term}":{hint} there are {", ".join(TERMS)}')

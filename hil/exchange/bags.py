@@ -98,7 +98,7 @@ def _check_tables(path: Path) -> None:
         with closing(sqlite3.connect(f"{path.absolute().as_uri()}?immutable=1", uri=True)) as database:
             found = database.execute(_NO_TABLES).fetchone()
     except (sqlite3.Error, UnicodeError) as error:
-        raise WrongUse(f"{path} is damaged, or no ROS 2 bag ({error}): use another copy of the file") from None
+        raise WrongUse(f"{path} is damaged, or is not a ROS 2 bag ({error}): use another copy of the file") from None
     if found is not None:
         raise WrongUse(f"{path} is no ROS 2 bag, which stores its values in tables: it has the {found[0]} {found[1]!r}")
 

@@ -86,7 +86,7 @@ def dimension_of_command(title: str, unit: str | None) -> str:
     if unit is not None:
         found = next((one for one in MODES if units.known(one, unit) is not None), None)
         if found is None:
-            raise WrongUse(f"--command-unit {unit}: a command is {_KINDS}: {give}")
+            raise WrongUse(f"--command-unit {unit}: this is no unit of {_KINDS}: {give}")
         return found
     for dimension in MODES:
         try:

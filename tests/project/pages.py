@@ -36,9 +36,10 @@ NOT_RUN = {
 }
 """Blocks that are not run, by the beginning of their text, or by language, and why."""
 _LATE = re.compile(r"^status [134] of: (?:\w+=\$\()?hil (?!identify)", re.MULTILINE)
-"""What a shell says of a command whose drive failed, or whose ticks were late. An emulator behind a pty does so where
-the kernel keeps its answer, in a thread that waits for a core like any program, however urgent the two ends are. Such a
-block is pasted again, at most three times: what is broken fails each time."""
+"""What a shell says of a command whose drive failed, or whose ticks were late. Both happen on a busy machine even if
+the emulator is sound: the kernel carries the bytes of a pty in a thread that waits for a core like any program,
+however urgent the two ends are. Such a block is pasted again, at most three times; a lasting fault fails each time.
+"""
 BEFORE = {"docs/file_format.md": "hil record --quiet --backend sim --duration 4 --fade 0.2 -o run1.h5"}
 """What a page's reader has in the folder, beside what the page lets them write."""
 _STATUS = "trap 'echo \"status $? of: $BASH_COMMAND\" >&2; exit 1' ERR\nset -o pipefail\n"
@@ -165,7 +166,7 @@ def read(reader: Reader, page: str, *, busy: bool = False) -> None:
 def _read(reader: Reader, block: Block, *, busy: bool) -> None:
     """Paste a block, and hold the output of a transcript against what it shows.
 
-    Where ticks of a drive may be late, since the machine is busy, a result may be untrustworthy, status 1.
+    `hil identify` may end with status 1 where a drive is used: a busy machine makes ticks late.
     """
     name = block.mark.removeprefix("write ")
     if name != block.mark:

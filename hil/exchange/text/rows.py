@@ -53,8 +53,8 @@ class Read(NamedTuple):
 
 
 def titles(source: Path, wanted: Collection[str] = (), sheet: str | None = None) -> list[str]:
-    """Return the headings of the table, in order. wanted: names that the line of headings has. sheet: of a workbook.
-    Raises WrongUse for a file that is no text.
+    """Return the headings of the table, in order. wanted: names by which the line of headings is found. sheet: the name
+    of the sheet, if the file is a workbook. Raises WrongUse for a file that is no text.
     """
     with _open(source, wanted, sheet, _Damage()) as lines:
         return layout(source, lines, wanted)[0].names

@@ -35,15 +35,20 @@ _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor
 class Evidence:
     """The facts from which identifiability is derived.
 
-    reference: the encoder reading, rad, that the deflections count from. columns (m, p + q): the linearised problem at
-    the samples of `signals`. values, low, high (p + q,): values and bounds of all parameters, SI. errors: the
-    confidence intervals. exact: values and half intervals of the selected model alone, where `values` and `errors` are
-    averaged over models. scattered: the variance components of pooled recordings. unbounded: the values without sign
-    constraints, and their half intervals; None if no constraint acts. gap: the optimiser gap, relative. deflection: the
-    effect of errors of the deflection on the values; None if the rate was recorded too. unmoved: the reason why the
-    joint did not move; "" if it moved. selected: whether the model was selected, and not named by the user. span: the
-    range of Kc, if a selected model has no single Kc and the motion covered the range, or if the unloaded deflection is
-    unknown.
+    The model has p linear and q nonlinear parameters; `signals` has m samples. A half interval is half the width of a
+    95 % interval.
+
+    - reference: the encoder reading, rad, at which the deflection is zero.
+    - columns (m, p + q): the derivative of the torque by each parameter, at the samples of `signals`.
+    - values, low, high (p + q,): values and bounds of all parameters, SI. errors: the confidence intervals.
+    - exact: values and half intervals of the selected model alone; `values` and `errors` may be averages over models.
+    - scattered: the variance components of pooled recordings. gap: the optimiser gap, relative.
+    - unbounded: the values without sign constraints, and their half intervals; None if no constraint acts.
+    - deflection: how much the deflection's measurement errors change the values; None if the rate was recorded too.
+    - unmoved: the reason why the joint did not move; "" if it moved.
+    - selected: whether model selection chose the model; False if the user named it.
+    - span: the range of Kc that the motion covered; None if the model has a single Kc and the unloaded deflection is
+      known.
     """
 
     model: Coupling

@@ -1,8 +1,9 @@
 """Damiao's emulated USB-CAN adapter on a pty, connected to an emulated bus.
 
 Source: the maker's sheet of the adapter's serial frames. The sheet does not state the following, which is assumed here.
-Repetitions of a frame are `interval` times 0.1 ms apart. The reply to a handshake is "OK". The report of a sent frame
-holds the content of the frame. The adapter accepts any baud rate of the port, because its USB controller is built in.
+Repetitions of a frame are `interval` times 0.1 ms apart. The reply to a handshake is "OK". When the adapter reports
+that it sent a frame, the report contains the bytes of the frame. The adapter accepts any baud rate of the port, because
+its USB controller is built in.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELEC
     [
         (f"CREATE VIEW schema AS {ENDLESS}", "it has the view 'schema'"),
         ("ALTER TABLE messages ADD data AS (zeroblob(1 << 30))", "it has the generated column 'data'"),
-        ('CREATE VIEW "DATA" AS SELECT 1', "is damaged, or no ROS 2 bag"),
+        ('CREATE VIEW "DATA" AS SELECT 1', "is damaged, or is not a ROS 2 bag"),
     ],
 )
 def test_a_database_of_more_than_stored_values_is_no_bag(tmp_path: Path, made: str, said: str) -> None:
