@@ -14,8 +14,8 @@ from typing import Any
 
 @contextmanager
 def _no_settings_read() -> Iterator[None]:
-    """Keep numba from reading its settings file in a `with` block: hide the YAML module from it. A program that has
-    imported numba before has read the file already.
+    """Context manager: inside the `with` block numba cannot import the YAML module, so it reads no settings file. If
+    the program imported numba earlier, numba has already read the file.
     """
     before: Any = sys.modules.get("yaml", ...)
     sys.modules["yaml"] = None  # type: ignore[assignment] # an import raises ImportError

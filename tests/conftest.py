@@ -73,7 +73,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """Hand the files of `IN_TURN` to one worker: a drive that waits for a core beside a browser has late ticks."""
+    """Run the files of `IN_TURN` in one worker, one after the other.
+
+    Their tests use an emulated drive in real time, or a browser. While a browser runs in another worker, the control
+    loop waits for a processor core and its ticks are late.
+    """
     if config.getoption("dist") != "loadfile":
         return None
     from xdist.scheduler import LoadFileScheduling

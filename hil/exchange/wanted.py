@@ -82,11 +82,13 @@ def dimension_of_command(title: str, unit: str | None) -> str:
 
     The command is the instrument of the identification of Kc and Bc; only its shape matters, not its scale.
     """
-    give = f"give its unit with --command-unit, such as {', '.join(units.COMMON[one][0] for one in MODES)}"
+    give = (
+        f"give the unit of the command with --command-unit, such as {', '.join(units.COMMON[one][0] for one in MODES)}"
+    )
     if unit is not None:
         found = next((one for one in MODES if units.known(one, unit) is not None), None)
         if found is None:
-            raise WrongUse(f"--command-unit {unit}: this is no unit of {_KINDS}: {give}")
+            raise WrongUse(f"--command-unit {unit}: {unit} is not a unit of {_KINDS}: {give}")
         return found
     for dimension in MODES:
         try:

@@ -114,7 +114,9 @@ def terms_of(model: str) -> tuple[str, ...]:
     named = [term.strip() for term in model.split("+")]
     for term in named:
         if term not in TERMS:
-            raise WrongUse(f"--model {model!r}: no error can be predicted for {term!r}, only for {', '.join(TERMS)}")
+            raise WrongUse(
+                f"--model {model!r}: the error of {term!r} cannot be predicted, only that of {', '.join(TERMS)}"
+            )
     if "linear" not in named or len(set(named)) != len(named):
         raise WrongUse(f"--model {model!r}: name linear and each further term once, as in linear+offset")
     return tuple(term for term in TERMS if term in named)

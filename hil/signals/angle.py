@@ -167,10 +167,10 @@ def far_zero(angle: Array) -> float:
 
 
 def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
-    """Return the samples (n,) in which an angle is constant while the torque covers a third of its range.
+    """Return a mask (n,) of the samples in which an angle is constant while the torque covers a third of its range.
 
-    time s, angle rad, torque N m. In a pause, or while friction holds the joint, the torque covers
-    less than that.
+    time s, angle rad, torque N m. In a pause, or while friction holds the joint, the torque covers less
+    than that.
     """
     changes = np.flatnonzero(np.diff(angle) != 0.0) + 1
     if not changes.size:

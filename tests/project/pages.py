@@ -36,9 +36,9 @@ NOT_RUN = {
 }
 """Blocks that are not run, by the beginning of their text, or by language, and why."""
 _LATE = re.compile(r"^status [134] of: (?:\w+=\$\()?hil (?!identify)", re.MULTILINE)
-"""What a shell says of a command whose drive failed, or whose ticks were late. Both happen on a busy machine even if
-the emulator is sound: the kernel carries the bytes of a pty in a thread that waits for a core like any program,
-however urgent the two ends are. Such a block is pasted again, at most three times; a lasting fault fails each time.
+"""Matches the output of a shell in which a command could not use the drive, or had late ticks. Both happen on a busy
+machine: the kernel carries the bytes of a pty in a thread of normal priority, even if hil and the emulator have a high
+one. Therefore a block with such output is pasted again, at most three times. If the fault is real, it fails each time.
 """
 BEFORE = {"docs/file_format.md": "hil record --quiet --backend sim --duration 4 --fade 0.2 -o run1.h5"}
 """What a page's reader has in the folder, beside what the page lets them write."""

@@ -39,16 +39,18 @@ class Evidence:
     95 % interval.
 
     - reference: the encoder reading, rad, at which the deflection is zero.
-    - columns (m, p + q): the derivative of the torque by each parameter, at the samples of `signals`.
-    - values, low, high (p + q,): values and bounds of all parameters, SI. errors: the confidence intervals.
+    - columns (m, p + q): the derivative of the torque with respect to each parameter, at the samples of `signals`.
+    - values (p + q,): the parameters, SI. low, high (p + q,): the limits of the search.
+    - errors: the confidence intervals of the values.
     - exact: values and half intervals of the selected model alone; `values` and `errors` may be averages over models.
-    - scattered: the variance components of pooled recordings. gap: the optimiser gap, relative.
+    - scattered: the variance components of pooled recordings.
+    - gap: how much worse the result of the search is than the exact optimum, relative.
     - unbounded: the values without sign constraints, and their half intervals; None if no constraint acts.
-    - deflection: how much the deflection's measurement errors change the values; None if the rate was recorded too.
+    - deflection: how much errors of the measured deflection change the values; None if its rate was recorded.
     - unmoved: the reason why the joint did not move; "" if it moved.
     - selected: whether model selection chose the model; False if the user named it.
-    - span: the range of Kc that the motion covered; None if the model has a single Kc and the unloaded deflection is
-      known.
+    - span: the least and the largest Kc at the deflections that the joint reached; None if the model has a single Kc
+      and the unloaded deflection is known.
     """
 
     model: Coupling

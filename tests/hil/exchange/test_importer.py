@@ -655,7 +655,11 @@ def test_a_set_point_holds_until_the_next(tmp_path: Path) -> None:
     ("text", "column", "said"),
     [
         (DRIVEN, Column("u"), "'u' does not say whether the command is a torque, an angle, a current or a voltage"),
-        (DRIVEN, Column("u", "kg"), "--command-unit kg: this is no unit of a torque, an angle, a current or a voltage"),
+        (
+            DRIVEN,
+            Column("u", "kg"),
+            "--command-unit kg: kg is not a unit of a torque, an angle, a current or a voltage",
+        ),
         (DRIVEN.replace(",u\n", ",u [deg]\n"), Column("u", "V"), "'u [deg]' is an angle by its heading"),
         (re.sub(r",[012]\n", ",4\n", DRIVEN), Column("u", "A"), "'u' is 4 in every row: leave --command out"),
         (re.sub(r",[012]\n", ",nan\n", DRIVEN), Column("u", "A"), "'u' holds no number"),

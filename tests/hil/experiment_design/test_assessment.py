@@ -211,7 +211,7 @@ def test_an_excitation_too_weak_to_identify_the_damping_is_warned_of() -> None:
         (["--band", "1:200"], "needs a rate of at least 800 Hz"),
         (["--amplitude", "0.02"], "lower --amplitude to 0.0"),
         (["--kc", "1e6"], "the limits permit no motion that the encoder resolves"),
-        (["--model", "linear+backlash"], "no error can be predicted for 'backlash'"),
+        (["--model", "linear+backlash"], "the error of 'backlash' cannot be predicted"),
         (["--model", "linear+skew+inertia"], "leave one out"),
         (["--duration", "0.1"], "leave no band"),
     ],
