@@ -23,6 +23,7 @@ import benches
 import default_stand
 import numpy as np
 import real_ramps
+import textbook
 import truth_benches
 from archive_physical import PAIRS, draw, read
 from benches import KC, MUJOCO, Array, Bench, Law, Motion, Reading
@@ -82,6 +83,16 @@ def wandering(share: float, seconds: float = 5.0) -> Change:
     def change(reading: Reading, rng: np.random.Generator) -> Reading:
         walk = _coloured(len(reading.time), seconds / float(reading.time[1]), rng)
         return replace(reading, torque=reading.torque + share * np.abs(reading.torque).max() * walk)
+
+    return change
+
+
+def tared(share: float) -> Change:
+    """The cell set to zero half way, under a load of `share` of the torque's peak."""
+
+    def change(reading: Reading, _: np.random.Generator) -> Reading:
+        late = reading.time > 0.5 * reading.time[-1]
+        return replace(reading, torque=reading.torque - share * np.abs(reading.torque).max() * late)
 
     return change
 
@@ -167,6 +178,9 @@ KINDS: Mapping[str, tuple[Bench, Change | None, str]] = {
     "100 Hz, friction": (replace(_SLOW, law=_RUBBING), None, BOTH),
     "100 Hz, delay": (replace(_SLOW, delay=4e-3), None, BOTH),
     "100 Hz, steps": (replace(_SLOW, kind="prbs"), None, ONLY_KC),
+    "tare": (_ONE, tared(0.3), BOTH),
+    "tare, friction": (replace(_ONE, law=_RUBBING), tared(-0.1), BOTH),
+    "long": (replace(_ONE, rate=1000.0, duration=200.0), None, BOTH),
     "ramps": (replace(_ONE, kind="ramp", band=(0.2, 4.0)), None, ONLY_KC),
     "ramps, friction": (replace(_ONE, kind="ramp", law=_RUBBING), None, ONLY_KC),
     "ramps, gear": (replace(_ONE, kind="ramp", law=benches.gear(0.04, 2e-3, 0.2, 0.01)), None, ONLY_KC),
@@ -239,6 +253,29 @@ def of_stands() -> Iterator[Entry]:
     yield from of_drives()
 
 
+def of_textbook() -> Iterator[Entry]:
+    """Two of each effect's recordings in `textbook.py`."""
+    for row in textbook.rows_of(tuple(textbook.LAWS))[: 2 * len(textbook.LAWS)]:
+        true = textbook.example(row.term, row.size)
+        yield Entry(f"textbook, {row.term}", functools.partial(textbook.record, row), true["Kc"], true["Bc"])
+
+
+def of_pools() -> Iterator[Entry]:
+    """Two recordings of one joint, of different motions, identified together."""
+    for name in ("chirp", "prbs"):
+
+        def make(path: Path, first=name) -> None:
+            for number, kind in enumerate((first, "multisine")):
+                _bench(replace(_ONE, kind=kind), None, False, number, _more(path) if number else path)
+
+        yield Entry("pooled", make, _ONE.stiffness, _ONE.damping, arguments=_more(Path("{file}")).name)
+
+
+def _more(path: Path) -> Path:
+    """The file that is pooled with a recording."""
+    return path.with_name(f"{path.name}.more.h5")
+
+
 def of_drives() -> Iterator[Entry]:
     """A chirp of torque at 250 and at 100 Hz, and one of positions, whose motor torque leaves Bc unknown."""
     import chirps  # it imports the drivers' tests
@@ -287,12 +324,13 @@ def index(entries: list[Entry]) -> list[dict[str, str]]:
     for entry in entries:
         number = numbers[entry.kind]
         numbers[entry.kind] += 1
+        name = f"{re.sub(r'[^A-Za-z0-9]+', '-', entry.kind).strip('-')}-{number:02}.h5"
         rows.append(
             {
-                "file": f"{re.sub(r'[^A-Za-z0-9]+', '-', entry.kind).strip('-')}-{number:02}.h5",
+                "file": name,
                 "kind": entry.kind,
                 "half": ("seen", "held")[number % 2],
-                "arguments": entry.arguments,
+                "arguments": entry.arguments.format(file=name),
                 "Kc": "" if np.isnan(entry.Kc) else f"{entry.Kc:.9g}",
                 "Bc": "" if np.isnan(entry.Bc) else f"{entry.Bc:.9g}",
                 "knowable": entry.knowable,
@@ -320,7 +358,14 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--ramps", type=Path, help="folder of tables of real ramps, as real_ramps.py takes it")
     options = parser.parse_args()
-    entries = [*of_benches(), *of_stands(), *of_physics(), *(of_ramps(options.ramps) if options.ramps else ())]
+    entries = [
+        *of_benches(),
+        *of_stands(),
+        *of_textbook(),
+        *of_pools(),
+        *of_physics(),
+        *(of_ramps(options.ramps) if options.ramps else ()),
+    ]
     make_archive(options.folder, entries)
     print(f"{len(entries)} recordings in {options.folder}")
 

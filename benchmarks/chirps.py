@@ -38,16 +38,14 @@ from hil.stand.file import parse  # noqa: E402
 from hil.stand.servo import StandServo  # noqa: E402
 from sim_backend.parameters import CouplingParameters, FixtureParameters, SimParameters  # noqa: E402
 from sim_backend.servo import SimServo  # noqa: E402
-from sim_backend.wire.canbus.impedance import scaled_joint  # noqa: E402
 from sim_backend.wire.cia402 import tables as cia402  # noqa: E402
+from sim_backend.wire.default_joint import scaled_joint  # noqa: E402
 from sim_backend.wire.dynamixel.tables import MODELS, MX_MODELS  # noqa: E402
 from sim_backend.wire.feetech.tables import MODELS as FEETECH  # noqa: E402
 from sim_backend.wire.loadcell.emulator import SCALE, EmulatedLoadCell, LoadCellBoard  # noqa: E402
 from sim_backend.wire.mit.tables import MODELS as MIT  # noqa: E402
-from sim_backend.wire.moteus import device as moteus  # noqa: E402
 from sim_backend.wire.moteus.command import TORQUE_CONSTANT  # noqa: E402
 from sim_backend.wire.odrive import device as odrive  # noqa: E402
-from sim_backend.wire.packets.regulator import joint_at_horn  # noqa: E402
 from sim_backend.wire.robstride.tables import MODELS as ROBSTRIDE  # noqa: E402
 
 KC, BC = 17.75e-3, 0.19e-3
@@ -117,7 +115,7 @@ def of_dynamixel(model: str) -> Bench:
     spec = (MODELS | MX_MODELS)[model]
     _, amperes, torque = spec.stall
     stiff = model.startswith("mx") or torque > 2.0
-    joint = held(joint_at_horn(spec, STIFF if stiff else COUPLING), STRONG if stiff else 1.0)
+    joint = held(RIGS.small_joint(STIFF if stiff else COUPLING), STRONG if stiff else 1.0)
     return Bench(
         f"dynamixel {model}",
         lambda: RIGS.new_rig(model, parameters=joint),
@@ -133,7 +131,7 @@ def of_dynamixel(model: str) -> Bench:
 def of_feetech(model: str) -> Bench:
     spec = FEETECH[model]
     if model.startswith("hls"):
-        joint = held(joint_at_horn(spec, STIFF), STRONG)
+        joint = held(RIGS.small_joint(STIFF), STRONG)
         constant = spec.stall[2] / spec.stall[1]
         return Bench(
             f"feetech {model}",
@@ -147,7 +145,7 @@ def of_feetech(model: str) -> Bench:
         )
 
     def make() -> Any:
-        rig = RIGS.feetech_rig(model, parameters=joint_at_horn(spec, COUPLING))
+        rig = RIGS.feetech_rig(model, parameters=RIGS.small_joint(COUPLING))
         rig.device.write(40, b"\x80")  # its middle is here: the set-points stay within its single turn
         return rig
 
@@ -189,7 +187,7 @@ def benches() -> list[Bench]:
         inertia=2.0e-7,
         damping=1.0e-7,
     )
-    moteus_bench = on_can("moteus", lambda joint: RIGS.moteus_rig(parameters=joint), moteus.SCALE, TORQUE_CONSTANT, 0.1)
+    moteus_bench = on_can("moteus", lambda joint: RIGS.moteus_rig(parameters=joint), 20.0, TORQUE_CONSTANT, 0.1)
     return [
         *(of_dynamixel(model) for model in ("xl330-m077", "xl330-m288", "xc330-m288", "xm430-w350", "xm540-w270")),
         *(of_dynamixel(model) for model in ("mx-64", "mx-106")),
@@ -198,7 +196,7 @@ def benches() -> list[Bench]:
             on_can(
                 f"odrive {firmware}",
                 lambda joint, firmware=firmware: RIGS.odrive_rig(firmware, parameters=joint),
-                odrive.SCALE,
+                20.0,
                 odrive.TORQUE_CONSTANT,
                 0.06,
             )
@@ -208,7 +206,7 @@ def benches() -> list[Bench]:
             on_can(
                 f"mit {model}",
                 lambda joint, model=model: RIGS.mit_rig(model, parameters=joint),
-                MIT[model].scale,
+                10.0 * MIT[model].span[2],
                 MIT[model].torque_constant,
                 MIT[model].resistance,
             )
@@ -218,7 +216,7 @@ def benches() -> list[Bench]:
             on_can(
                 f"robstride {model}",
                 lambda joint, model=model: RIGS.robstride_rig(model, parameters=joint),
-                ROBSTRIDE[model].scale,
+                10.0 * ROBSTRIDE[model].span[1],
                 ROBSTRIDE[model].torque_constant,
                 ROBSTRIDE[model].resistance,
             )
@@ -229,7 +227,7 @@ def benches() -> list[Bench]:
             on_can(
                 f"cia402 {model}",
                 lambda joint, model=model: RIGS.cia402_rig(model, parameters=joint),
-                cia402.SCALE,
+                2.0,
                 cia402.TORQUE_CONSTANT,
                 0.6,
             )

@@ -384,12 +384,12 @@ def main() -> None:
             rows.append(f"| {session.client} {found} | {session.backend} | {', '.join(named)} | {said} |")
     intro = (
         "# Compatibility\n\n"
-        'Programs and libraries of other authors ("clients") work with the emulated drives of `hil emulate`. In the\n'
-        "test each client identifies the drive, switches the drive on, reads its state and switches it off. `python\n"
+        'Programs and libraries of other authors ("clients") work with the emulated drives of `hil emulate`. Each\n'
+        "client identifies the drive, switches it on, reads its state and switches it off. `python\n"
         "benchmarks/compatibility.py` writes this table.\n\n"
     )
     page = Path(__file__).parent.parent / "docs" / "compatibility.md"
-    behind = page.read_text(encoding="utf-8").partition("## A chirp")  # benchmarks/chirps.py writes that
+    behind = page.read_text(encoding="utf-8").partition("Not emulated:")
     page.write_text(f"{intro}{chr(10).join(rows)}\n\n{''.join(behind[1:])}", encoding="utf-8")
 
 

@@ -3,6 +3,8 @@
 Needs hil[bench]. Atheris mutates good inputs towards code that was not reached yet; each parser runs in a process of
 its own, so that a crash costs that parser alone. A breach is any exception but those by which hil declines an input, a
 message that is not hil's own, more than a second or 512 MiB for one input. Prints a table and ends with 1 on a breach.
+`--frames 50000` sends so many frames to the emulators of each family instead (emulators.py); the first that ends an
+emulator, or makes its plant's state NaN, ends the program.
 """
 
 from __future__ import annotations
@@ -26,11 +28,14 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=500_000, help="for each parser")
     parser.add_argument("--minutes", type=float, default=600.0, help="for all parsers together")
     parser.add_argument("--only", nargs="*", default=[], help="names of parsers")
+    parser.add_argument("--frames", type=int, default=0, help="for the emulators of each family, instead")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
     options, rest = parser.parse_known_args()
     if options.one:
         one(options.one, options.folder, rest)
+    if options.frames:
+        return emulated(options.frames, options.only)
     from parsers import PARSERS
 
     chosen = [name for name in PARSERS if not options.only or name in options.only]
@@ -45,6 +50,18 @@ def main() -> int:
             print(found, file=sys.stderr, flush=True)
     print(f"| all | {total:,} | | {crashes} |")
     return 1 if crashes else 0
+
+
+def emulated(frames: int, only: list[str]) -> int:
+    """Print the table of the emulators and return the exit status."""
+    from emulators import FAMILIES, feed
+
+    print("| emulators | frames | a second |\n| --- | --- | --- |")
+    for name in [name for name in FAMILIES if not only or name in only]:
+        began = time.monotonic()
+        feed(name, frames)
+        print(f"| {name} | {frames:,} | {frames / (time.monotonic() - began):,.0f} |", flush=True)
+    return 0
 
 
 def fed(name: str, inputs: int, seconds: int) -> tuple[int, float, str]:

@@ -1,19 +1,31 @@
-"""Files of every kind that a person may name by mistake, and recordings that no bench makes."""
+"""Files of every kind that a person may name by mistake, recordings that no bench makes, and tables drawn at random.
+
+Run it as `python benchmarks/odd_files.py --count 50000`: each drawn table is imported, and must be read right or
+refused. The last line counts the tables that were read right, refused, and read wrong; with one read wrong the exit
+status is 1.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import struct
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from hil import units
 from hil.api.runs import record
+from hil.errors import WrongUse
+from hil.exchange.importer import Column, understand
 from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import SIMULATED
@@ -174,3 +186,150 @@ def _of_no_kind(folder: Path) -> None:
     (folder / "secret.h5").chmod(0)
     with open(os.fsencode(folder) + b"/\xff\xfe.h5", "wb") as file:  # noqa: PTH123 - a name that is no UTF-8
         file.write(b"x")
+
+
+class Drawn(NamedTuple):
+    """A table drawn at random. columns: what is asked of it. true: the channels in SI, (n,) each; {}: it must be
+    refused. words: what was drawn.
+    """
+
+    text: str
+    columns: dict[str, Column]
+    true: dict[str, Array]
+    words: str
+
+
+_NAMES = {
+    "time": [
+        "t",
+        "time",
+        "Time",
+        "timestamp",
+        "stamp",
+        "clock",
+        "Zeit",
+        "elapsed time",
+        "x-axis",
+        "t_rel",
+        "sample time",
+    ],
+    "torque": ["tau", "torque", "Moment", "cell", "load cell", "effort", "Drehmoment", "M-arm", "1", "CH1", "tau.z"],
+    "dtheta": [
+        "q",
+        "angle",
+        "joint rotation",
+        "position",
+        "pos",
+        "theta",
+        "2",
+        "CH2",
+        "Winkel",
+        "joint/angle",
+        "rev count",
+    ],
+    "": ["current", "num cycles", "temperature", "mode", "a", "min", "rotation speed", "in", "rev", "cell 2", "note"],
+}
+_UNITS = {
+    "time": ["s", "ms", "us", "sec", "milliseconds", "min"],
+    "torque": ["N*m", "Nm", "mN m", "mNm", "N cm", "kgf*cm", "oz-in", "lbf*in", "Nmm"],
+    "dtheta": ["rad", "deg", "degrees", "mrad", "rev", "\u00b0"],
+    "": ["A", "V", "degC", "counts", "%", "rpm"],
+}
+_DIMENSION = {"time": "time", "torque": "torque", "dtheta": "angle"}
+_STYLES = ("{0} [{1}]", "{0} ({1})", "{0}/{1}", "{0}_{1}", "{0} in {1}", "{0}", "row", "option")
+_ABOVE = (
+    "",
+    "# log of rig 7\n",
+    "Model,DL850\nDate,2024/05/01\nRecord Length,4000\n",
+    "a run of 3 s at 200 Hz\n\n",
+    "sep=;\n",
+)
+_STAMPS = ("even", "jitter", "falling", "whole", "wrapped", "date", "lost")
+
+
+def draw(seed: int) -> Drawn:
+    """Return a table with headings, units and stamps drawn at random."""
+    rng = np.random.default_rng(seed)
+    pick = lambda choices: choices[int(rng.integers(len(choices)))]  # noqa: E731 - of this generator
+    t, kind = np.arange(400) / RATE + 0.37, pick(_STAMPS)
+    true = {"time": t, "torque": 0.1 * np.sin(9.0 * t), "dtheta": 0.2 * np.cos(11.0 * t)}
+    order = [*rng.permutation(["time", "torque", "dtheta", ""])]
+    style, delimiter, above = pick(_STYLES), pick((",", ";", "\t")), pick(_ABOVE)
+    named = {one: pick(_NAMES[one]) for one in order}
+    unit = {one: pick(_UNITS[one]) for one in order}
+    stamps, written = _stamps(rng, kind, t, unit)
+    cells = {"": [f"{one:.2f}" for one in rng.normal(size=len(t))], "time": stamps}
+    for one, dimension in (("torque", "torque"), ("dtheta", "angle")):
+        cells[one] = [f"{value:.9g}" for value in true[one] / units.factor(dimension, unit[one])]
+    form = "{0}" if style in {"row", "option"} else style
+    heads = [named[one] if one == "time" and not written else form.format(named[one], unit[one]) for one in order]
+    lines = [delimiter.join(cells[one][at] for one in order) for at in range(len(t))]
+    if kind == "falling":
+        lines.reverse()
+    if kind == "lost":
+        kept = np.sort(rng.choice(len(t), 380, replace=False))
+        lines, true = [lines[at] for at in kept], {one: values[kept] for one, values in true.items()}
+    second = (
+        [delimiter.join("" if one == "time" and not written else f"({unit[one]})" for one in order)]
+        if style == "row"
+        else []
+    )
+    columns = {
+        one: Column(named[one], unit[one] if style == "option" and (one != "time" or written) else None) for one in true
+    }
+    words = f"{seed}: {kind}, {style}, {named}, {unit}"
+    if rng.random() < 0.05:
+        columns["torque"], true = Column(named["dtheta"], "N*m"), {}
+    return Drawn("\n".join([above + delimiter.join(heads), *second, *lines, ""]), columns, true, words)
+
+
+def _stamps(rng: np.random.Generator, kind: str, t: Array, unit: dict[str, str]) -> tuple[list[str], bool]:
+    """Return the cells of the times, and whether they are numbers in the drawn unit."""
+    if kind == "date":
+        return [f"2024-05-01 10:00:{one:06.3f}" for one in t], False
+    factor = units.factor("time", unit["time"])
+    if kind == "whole":
+        unit["time"] = "s"
+        return [f"{math.floor(one)}" for one in t], True
+    if kind == "jitter":
+        t += rng.uniform(0.0, 0.3 / RATE, len(t))
+    if kind == "wrapped":
+        unit["time"] = "ms"
+        return [f"{(1e3 * one + 31_500.0) % 32_768.0:.3f}" for one in t], True
+    return [f"{one / factor:.9f}" for one in t], True
+
+
+def judged(drawn: Drawn, path: Path) -> str:
+    """Return "right", "refused" or "wrong" for the import of a drawn table. path: of the file to write."""
+    path.write_text(drawn.text, encoding="utf-8")
+    try:
+        channels = understand(path, drawn.columns)[2].channels
+    except WrongUse:
+        return "refused"
+    if not drawn.true or len(channels["time"]) != len(drawn.true["time"]):
+        return "wrong"
+    scale = {"time": 0.02, "torque": 1e-6, "dtheta": 1e-6}  # whole seconds are spread
+    close = [
+        np.abs(channels[one] - channels[one][0] - values + values[0]).max() < scale[one]
+        for one, values in drawn.true.items()
+    ]
+    return "right" if all(close) else "wrong"
+
+
+def main() -> int:
+    """Import tables drawn at random; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=50_000)
+    counts = {"right": 0, "refused": 0, "wrong": 0}
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(parser.parse_args().count):
+            drawn = draw(seed)
+            counts[found := judged(drawn, Path(folder) / "drawn.csv")] += 1
+            if found == "wrong":
+                print(drawn.words)
+    print(", ".join(f"{name} {count}" for name, count in counts.items()))
+    return int(counts["wrong"] > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -45,10 +45,9 @@ from hil.calibration.points import read_points
 from hil.campaign import plan
 from hil.campaign.journal import NAME, Journal
 from hil.errors import Untrustworthy, WrongUse
-from hil.exchange import bags
 from hil.exchange.coupling import of_result
 from hil.exchange.exporter import export
-from hil.exchange.readers import formats
+from hil.exchange.readers import bags, formats
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.text import rows
 from hil.recording.channels import Row
@@ -189,13 +188,13 @@ def _file(name: str, work: Callable[[Path], object]) -> Callable[[bytes], object
 
 
 def _table(path: Path) -> None:
-    titles = rows.titles(path)
-    rows.read(path, titles, range(min(3, len(titles))), [])
+    form = rows.form(path)
+    rows.read(path, form, form.names, range(min(3, len(form.names))), [])
 
 
 def _heat(_path: Path) -> None:
     with patch.dict(os.environ, XDG_STATE_HOME=str(_FOLDER / "state")):
-        HeatMemory(_DRIVE).load(_WINDING, 1.7e9)
+        HeatMemory(parse(SIMULATED), _DRIVE).load(_WINDING, 1.7e9)
 
 
 def _journal(_path: Path) -> None:

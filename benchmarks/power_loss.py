@@ -1,12 +1,17 @@
 """Cut the power at every moment of a run, on paper: replay the log of its writes to each prefix, and look what is left.
 
 python benchmarks/power_loss.py [--seconds 2] [--rate 200] [--orders 3] [--cuts 0]
+python benchmarks/power_loss.py --damage
 
 `strace` logs what the recorder and its writing process ask of the system: writes, syncs, names. A cut after a call
 leaves what was synced before it; of what was not, the replay keeps all, nothing, and `--orders` times a random part, in
 sectors of 512 bytes and in any order. New names that were not synced are kept up to a random one, as a journal does. In
 each state left, a finished file must be whole, and an unfinished one must give every row that had been synced, with no
 row altered that it does not report. Prints a table; ends with status 1 on a breach, 2 where strace is not permitted.
+
+--damage: instead, cut one unfinished recording off at every 512 bytes, and lose each sector and each page of it, which
+then has zeros or noise. What is read, and what is recovered, must be every row that no damaged byte is in, unaltered,
+with the whole header.
 """
 
 from __future__ import annotations
@@ -21,7 +26,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 import h5py
@@ -29,11 +34,15 @@ import numpy as np
 
 from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import ROW, Rows
+from hil.recording.channels import ROW, Row, Rows
+from hil.recording.final import finalise
 from hil.recording.integrity import LIVE
 from hil.recording.reader import Recording
+from hil.recording.writer import Header, RecordingWriter
+from hil.stand.file import SIMULATED
 
 SECTOR = 512  # bytes that a disk writes whole
+PAGE = 4096  # bytes that a system writes at a time
 CALLS = (
     "pwrite64,write,ftruncate,fallocate,fsync,fdatasync,openat,link,linkat,rename,renameat,renameat2,unlink,unlinkat"
 )
@@ -248,6 +257,92 @@ def unfinished(recording: Recording, promised: int, truth: Rows) -> str:
     return "all synced rows, others reported as lost" if lost.any() else "all synced rows"
 
 
+@dataclass(slots=True)
+class Damages:
+    """What one kind of damage has cost: the places tried, rows that a damaged byte was in, other rows, altered rows,
+    and recordings whose rows were there and whose header was not.
+    """
+
+    places: int = 0
+    rows_damaged: int = 0
+    other_rows: int = 0
+    altered: int = 0
+    headers: int = 0
+
+    def count(self, part: Path, truth: Rows, harmed: Rows) -> None:
+        """Read and recover a damaged file, and count. harmed: for each row whether a damaged byte is in it, (n,)."""
+        self.places += 1
+        self.rows_damaged += int(harmed.sum())
+        again = part.with_name("again.h5")
+        try:
+            trusted = finalise(part, again, force=True).trusted
+        except (WrongUse, Untrustworthy):
+            self.other_rows += int((~harmed).sum())
+            return
+        for path in (part, again):
+            with Recording(path) as recording:
+                rows, is_whole = rows_of(recording)[: len(truth)], recording.header_intact()
+            kept = (rows["status"] & np.uint64(int(Status.BAD_REPLY))) == 0
+            gone = np.append(~kept, np.full(len(truth) - len(rows), fill_value=True))
+            self.other_rows += int((gone & ~harmed).sum())
+            self.altered += sum(
+                one.tobytes() != two.tobytes() for one, two in zip(rows[kept], truth[: len(rows)][kept], strict=True)
+            )
+            self.headers += not harmed.all() and not (is_whole and trusted)
+
+
+def unfinished_part(folder: Path, count: int) -> tuple[bytes, int, Rows]:
+    """Return the bytes of a recording that a kill has ended before its planned end, the place of its rows, and them."""
+    rng = np.random.default_rng(0)
+    profile = {"kind": "chirp", "mode": "torque", "rate": 100.0, "duration": count / 80}
+    profile |= {f"setting{number}": 1.0 for number in range(12)}  # as many as a run has
+    part = RecordingWriter(folder / FINAL, Header(profile, SIMULATED), count + count // 4)
+    rows = np.full(count, np.array(Row(0), dtype=ROW))
+    rows["seq"] = np.arange(count)
+    for name in ("time", "torque", "dtheta", "command"):
+        rows[name] = rng.normal(size=count)
+    part.extend(rows)
+    part.event(0.1, "stop-requested", "signal 2")
+    place = part.place.rows_at
+    part.close()
+    return part.path.read_bytes(), place, rows
+
+
+def damaged(data: bytes, step: int) -> Iterator[tuple[str, int, int, bytes]]:
+    """Yield each damaged file of a kind, in every `step`-th place: kind, first and last damaged byte, its bytes."""
+    rng = random.Random(0)  # noqa: S311 - no secret
+    for begin in range(SECTOR, len(data), SECTOR * step):
+        yield "cut off", begin, len(data), data[:begin]
+    for size in (SECTOR, PAGE):
+        for begin in range(0, len(data), size * step):
+            end = min(begin + size, len(data))
+            yield f"zeros in {size} bytes", begin, end, data[:begin] + bytes(end - begin) + data[end:]
+            yield f"noise in {size} bytes", begin, end, data[:begin] + rng.randbytes(end - begin) + data[end:]
+
+
+def damages(folder: Path, count: int, step: int) -> dict[str, Damages]:
+    """Return what each kind of damage costs an unfinished recording of `count` rows, in every `step`-th place."""
+    data, place, truth = unfinished_part(folder, count)
+    begins = place + LIVE.itemsize * np.arange(count)
+    found: dict[str, Damages] = {}
+    for kind, first, end, bytes_left in damaged(data, step):
+        part = folder / "b.h5.part"
+        part.write_bytes(bytes_left)
+        harmed = (begins < end) & (begins + LIVE.itemsize > first)
+        found.setdefault(kind, Damages()).count(part, truth, harmed)
+    return found
+
+
+def print_damages() -> int:
+    """Print what each kind of damage costs as rows of a table, and return the exit status."""
+    with tempfile.TemporaryDirectory() as name:
+        found = damages(Path(name), 200, 1)
+    print("damage,places,rows with a damaged byte,other rows lost,rows altered,headers lost")
+    for kind, one in found.items():
+        print(",".join(map(str, (kind, *astuple(one)))))
+    return int(any(one.other_rows or one.altered or one.headers for one in found.values()))
+
+
 def rows_of(recording: Recording) -> Rows:
     """Return all rows of a recording."""
     return np.concatenate([np.empty(0, dtype=ROW), *(rows for _, rows in recording.rows())])
@@ -292,7 +387,10 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=200.0, help="Hz")
     parser.add_argument("--orders", type=int, default=3, help="random parts of what was not synced, at each cut")
     parser.add_argument("--cuts", type=int, default=0, help="cuts that are tried, at random (0: all)")
+    parser.add_argument("--damage", action="store_true", help="damage an unfinished recording instead")
     options = parser.parse_args()
+    if options.damage:
+        return print_damages()
     rng = random.Random(0)  # noqa: S311 - no secret
     with tempfile.TemporaryDirectory() as name:
         folder, log = Path(name) / "run", Path(name) / "log"

@@ -85,7 +85,8 @@ def judge(job: tuple[Path, Row]) -> Row:
     """The row of one recording of the index."""
     folder, entry = job
     slow = slowness()
-    status, found, seconds = identified(folder / entry["file"], shlex.split(entry["arguments"]))
+    words = [str(folder / one) if (folder / one).is_file() else one for one in shlex.split(entry["arguments"])]
+    status, found, seconds = identified(folder / entry["file"], words)
     row = {name: entry[name] for name in ("file", "kind", "half", "knowable")}
     row |= {"status": status, "model": found.get("model", ""), "seconds": f"{seconds:.2f}", "slow": f"{slow:.2f}"}
     row["codes"] = " ".join(sorted({one["code"] for one in found.get("warnings", []) + found.get("errors", [])}))

@@ -83,7 +83,6 @@ class Case:
     sim: Tables = field(default_factory=dict)
     band: tuple[float, float] = (0.1, 15.0)
     position_lsb: float = 0.0
-    with_rate: bool = True
     lost: float = 0.0
     jitter: float = 0.0
     outliers: float = 0.0
@@ -161,7 +160,6 @@ CASES: tuple[Case, ...] = (
         "deflection rounded to 2 pi/4096, no rate channel",
         sim={"sensors": {"motor_counts": 1024, "reports_velocity": False}},
         position_lsb=_COUNT,
-        with_rate=False,
     ),
     Case(
         "skew",
@@ -230,7 +228,6 @@ CASES: tuple[Case, ...] = (
         "motor torque in closed form at the instant of the sample, noise of 0.05 mN m",
         sim={"sensors": {"motor_counts": 4096}},
         position_lsb=_COUNT / GEAR,
-        with_rate=False,
         motor_side=True,
         sim_amplitude=6.2e-3,
         bars="wide",
@@ -253,7 +250,6 @@ CASES: tuple[Case, ...] = (
             "link": {"jitter": 1.41e-4, "round_trip": 8e-4, "reply_timeout": 1.8e-3},
         },
         position_lsb=_COUNT,
-        with_rate=False,
         jitter=1e-4,
         bars="wide",
     ),
@@ -274,7 +270,6 @@ CASES: tuple[Case, ...] = (
         "0.2 rad, rounded to 2 pi/4096 and at random one count up or down; no rate channel",
         sim={"sensors": {"motor_counts": 4096}},
         position_lsb=_COUNT,
-        with_rate=False,
         stands_still=True,
         sim_amplitude=1e-6,
         bars="unidentifiable",

@@ -176,8 +176,6 @@ def closed_form_channels(case: Case, rng: np.random.Generator, driven: Driven | 
         channels |= {"motor_torque": shaft, "motor_position": angle * GEAR, "torque": shaft * GEAR}
     else:
         channels["torque"] = joint.torque(time) + noise + spikes
-    if case.with_rate:
-        channels["dtheta_dot"] = motion.rate
     lost = rng.random(SAMPLES) < case.lost
     for name, values in channels.items():
         if name != "time":

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Protocol
 
 
@@ -14,6 +18,28 @@ class Clock(Protocol):
 
     def sleep_until(self, t: float) -> None:
         """Wait until the time `t`, s. Return at once if `t` has passed."""
+
+
+_latest: ContextVar[float] = ContextVar("latest", default=math.inf)
+
+
+@contextmanager
+def waits_end_by(end: float) -> Iterator[None]:
+    """Context manager: in its block, no wait for a reply lasts beyond the time `end`, s on the servo's clock.
+
+    A request is still sent after that time, but its reply is not awaited: a torque-off that nobody confirms must become
+    an alarm in time, however long the drive's own time limits are.
+    """
+    before = _latest.set(min(end, _latest.get()))
+    try:
+        yield
+    finally:
+        _latest.reset(before)
+
+
+def no_later(end: float) -> float:
+    """Return the time `end`, s, or that of the enclosing `waits_end_by` if that is earlier."""
+    return min(end, _latest.get())
 
 
 def machine_time() -> float:

@@ -6,8 +6,8 @@ closes the link. The rules of the gate:
 * A command is sent only while the servo is armed, if the servo supports its quantity, and if its value is finite. The
   value is clamped to the armed limits. Finiteness is checked before any clamp: `max(low, min(high, nan))` is full
   torque.
-* Torque-off is requested until the device confirms it. `Gate.disarm` requests it three times,
-  `drivers.torque_off.confirm_torque_off` repeats that for about one second.
+* Torque-off is requested until the device confirms it. `Gate.disarm` requests it three times, but waits for the
+  confirmation no longer than `CONFIRMS`. `drivers.torque_off.confirm_torque_off` repeats that, and gives the alarm.
 * When an error occurs while a servo is opened or armed, torque-off is requested before the error is raised further.
 * A drive with a watchdog stops by itself when no request arrives. `watchdog_problem` checks that one lost reply cannot
   trip the watchdog. A tripped watchdog is a DeviceFault: the servo must be armed again.
@@ -20,11 +20,16 @@ import math
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from drivers.clock import Clock, MonotonicClock, waits_end_by
 from drivers.retry import Repeats
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
 
 _REQUESTS = 3
 """How many times one call of `Gate.disarm` requests torque-off."""
+CONFIRMS = 0.7
+"""s in which a drive must confirm torque-off; then the alarm is given, within 1 s in any case."""
+_AFTER_ERROR = 0.2
+"""s to wait for the confirmation after an error of arming: whoever armed the servo then confirms the torque-off."""
 
 
 class Admitted(NamedTuple):
@@ -43,7 +48,7 @@ class Gate:
     makes one request for torque-off, given the number of the request from 0. It returns when the device has confirmed,
     and raises DriverError if the device has not. release: a function that closes the link. mode_key: the key in
     stand.toml that selects the quantity. repeats: the object that repeats requests whose reply was lost, used only
-    while the servo is opened and armed.
+    while the servo is opened and armed. clock: the servo's clock, which limits the waits of a torque-off.
 
     live: whether current may flow in the motor. Starts as True, because an earlier program may have left the device
     armed.
@@ -58,6 +63,7 @@ class Gate:
         release: Callable[[], None],
         mode_key: str = "",
         repeats: Repeats | None = None,
+        clock: Clock | None = None,
     ) -> None:
         self.live = True
         self._name = name
@@ -66,6 +72,7 @@ class Gate:
         self._release = release
         self._remedy = f"; set {mode_key} otherwise" if mode_key else ""
         self._repeats = repeats or Repeats()
+        self._clock = clock or MonotonicClock()
         self._limits: Limits | None = None
         self._closed = False
 
@@ -145,7 +152,7 @@ class Gate:
             with self._repeats.active():
                 yield
         except BaseException:
-            with contextlib.suppress(DriverError):
+            with contextlib.suppress(DriverError), waits_end_by(self._clock.now() + _AFTER_ERROR):
                 self.force_off()
             raise
         self._limits = limits
@@ -166,8 +173,8 @@ class Gate:
         self.disarm()
 
     def disarm(self) -> None:
-        """Request torque-off up to three times, until the device confirms it. Has no effect if the torque is off
-        already.
+        """Request torque-off up to three times, until the device confirms it, and wait for that `CONFIRMS` s at most.
+        Has no effect if the torque is off already.
 
         If the device does not confirm, raises LinkLost if the link is gone, else DriverError; `disarm` may then be
         called again.
@@ -176,11 +183,13 @@ class Gate:
         if not self.live or self._closed:
             return
         reason: DriverError | None = None
+        end = self._clock.now() + CONFIRMS
         for request in range(_REQUESTS):
             try:
-                self._torque_off(request)
-            except DriverError as error:
-                reason = error
+                with waits_end_by(end):
+                    self._torque_off(request)
+            except DriverError as error:  # after the end there was no time to wait for a reply, which is no reason
+                reason = reason if reason is not None and self._clock.now() >= end else error
             else:
                 self.live = False
                 return

@@ -10,7 +10,9 @@ import contextlib
 import json
 import os
 import shutil
+import stat
 import subprocess
+import sys as system
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +22,10 @@ from serial.tools.list_ports import comports
 
 _SYS = Path("/sys")
 _CAN_TYPE = "280"  # ARPHRD_CAN in /sys/class/net/NAME/type
+_PTYS = frozenset({2, 3, *range(128, 144)})
+"""The major device numbers of pseudo terminals in Linux, Documentation/admin-guide/devices.txt."""
+_ON_SERIAL = frozenset({"slcan", "serial", "robotell", "seeedstudio", "damiao"})
+_NO_WIRE = frozenset({"virtual", "udp_multicast", "socketcand"})
 _LATENCY = 1  # ms; needed for one round trip a tick
 
 
@@ -141,3 +147,41 @@ def _permission(port: Path) -> str:
     if group in {"root", "wheel"} or mode & 0o060 != 0o060:
         return f"its group ({group}) gives nobody access, so until it is plugged in again: sudo chmod a+rw {port}"
     return f"sudo usermod -aG {group} $USER, then log in again"
+
+
+def emulation(table: object, sys: Path = _SYS) -> str:
+    """Return the kind of link if the drive of the stand file's `table` may be an emulator ("pty", "vcan0", ...); "" for
+    a port or an adapter of this computer's hardware.
+
+    The device decides, not its name: a symlink to a pty is a pty. sys: path of Linux's /sys.
+    """
+    interface = getattr(table, "interface", None)
+    place = getattr(table, "port" if interface is None else "channel", None)
+    if not isinstance(place, str):
+        return ""
+    if interface in _NO_WIRE:
+        return str(interface)
+    if interface == "socketcan":
+        return "" if (sys / "class" / "net" / place / "device").exists() else place
+    if interface is not None and interface not in _ON_SERIAL:
+        return ""
+    return _serial_emulation(place.partition("@")[0] if interface else place, sys)
+
+
+def _serial_emulation(name: str, sys: Path) -> str:
+    if "://" in name:
+        return name.partition("://")[0]
+    if os.name != "posix":
+        return ""
+    try:
+        device = Path(name).stat()
+    except OSError:
+        return "no port"
+    if system.platform != "linux":
+        return "pty" if Path(name).resolve().name.startswith("ttys") else ""
+    number = device.st_rdev
+    if not stat.S_ISCHR(device.st_mode) or os.major(number) in _PTYS:
+        return "pty"
+    known = sys / "dev" / "char"
+    wired = not known.exists() or (known / f"{os.major(number)}:{os.minor(number)}" / "device").exists()
+    return "" if wired else "virtual port"

@@ -1,5 +1,5 @@
-"""Check the samples that are fitted, columns (n, p) and torque (n,), N m, and find the smallest fitness that is not
-zero.
+"""Check the samples that are fitted, columns (n, p) and torque (n,), N m, cut them into lanes, and find the smallest
+fitness that is not zero.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ RESOLUTION: Final = 1e-6
 Noise-free data have an optimum of zero, to which nothing is relatively close.
 """
 
+LANES: Final = 128
+"""The number of samples in a block, which is the number of partial sums."""
+
 
 def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
     """Raise ValueError unless columns (n, p) and torque (n,) are finite, of equal length and not empty."""
@@ -31,3 +34,13 @@ def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
 def resolution(torque: NDArray[np.float64]) -> float:
     """Return the smallest divisor, N m, in relative comparisons of fitness; 1e-300 if the torque is zero throughout."""
     return max(RESOLUTION * float(np.mean(np.abs(torque))), 1e-300)
+
+
+def in_lanes(*rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return k rows (m,) cut into lanes, (k, ceil(m/128), 128), filled up with zeros."""
+    count = len(rows[0])
+    padded = np.empty((len(rows), -(-count // LANES) * LANES))
+    for row, values in zip(padded, rows, strict=True):
+        row[:count] = values
+    padded[:, count:] = 0.0
+    return padded.reshape(len(rows), -1, LANES)

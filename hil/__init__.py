@@ -8,8 +8,8 @@
     result.report("run1.html")
 
 SI everywhere. Arguments have the names, the defaults and the meaning of the command line's options. A function raises
-`WrongUse` if the request cannot be carried out, `Untrustworthy` if the data give no result, and
-`drivers.servo.DriverError` if a drive fails. Each name of this module is loaded at its first use.
+`WrongUse` if the request cannot be carried out, `Untrustworthy` if the data give no result, `drivers.servo.DriverError`
+if a drive fails, and `InternalError` if hil itself fails. Each name of this module is loaded at its first use.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from hil.standard_files import open_standard_files
 
 if TYPE_CHECKING:
     from hil.api.analysis import compare, identify, identify_each
+    from hil.api.hand import HandResult, load_hand
     from hil.api.hysteresis import HysteresisResult, hysteresis
     from hil.api.planning import DesignResult, design
     from hil.api.recordings import LoadedRecording, load
     from hil.api.results import ComparisonResult, IdentificationResult, NoResult
     from hil.api.runs import Run, record, simulate
-    from hil.errors import Untrustworthy, WrongUse
+    from hil.errors import InternalError, Untrustworthy, WrongUse
 
 __all__ = [
     "ComparisonResult",
     "DesignResult",
+    "HandResult",
     "HysteresisResult",
     "IdentificationResult",
+    "InternalError",
     "LoadedRecording",
     "NoResult",
     "Run",
@@ -44,18 +47,20 @@ __all__ = [
     "identify",
     "identify_each",
     "load",
+    "load_hand",
     "record",
     "simulate",
 ]
 
 _PLACES = {
     "hil.api.analysis": ("compare", "identify", "identify_each"),
+    "hil.api.hand": ("HandResult", "load_hand"),
     "hil.api.hysteresis": ("HysteresisResult", "hysteresis"),
     "hil.api.planning": ("DesignResult", "design"),
     "hil.api.recordings": ("LoadedRecording", "load"),
     "hil.api.results": ("ComparisonResult", "IdentificationResult", "NoResult"),
     "hil.api.runs": ("Run", "record", "simulate"),
-    "hil.errors": ("Untrustworthy", "WrongUse"),
+    "hil.errors": ("InternalError", "Untrustworthy", "WrongUse"),
 }
 
 

@@ -54,6 +54,16 @@ def driven_by_position(*, is_error: bool, imported: bool = False) -> Diagnostic:
     )
 
 
+def over_limit(exceeded: str) -> Diagnostic:
+    """Return the error for a limit that a whole run exceeded. exceeded: which one, how far, and since when."""
+    return Diagnostic(
+        "over-limit",
+        f"{exceeded}: the load was beyond what the stand file allows. If it changed the joint, Kc and Bc are not those "
+        "of before. Check the joint, then record with a lower --amplitude, or correct [limits]",
+        is_error=True,
+    )
+
+
 _MANY_LATE, _MOSTLY_LATE = 0.01, 0.1  # share of ticks that began more than half a period after their time
 
 

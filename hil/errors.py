@@ -1,15 +1,17 @@
-"""The two errors with which a command ends without a result; drives have their own errors
+"""The errors with which a command ends without a result; drives have their own errors
 (`drivers.servo.DriverError`).
 """
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
 _DECIMAL_COMMA: Final = re.compile(r"(?<![\w.,])([-+]?\d+),(\d+)(?![\d.,])")
+_NO_MORE: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN})  # open files, memory, processes
 _LISTED: Final = re.compile(r"'([^']*)' is not (?:known: choose )?one of (.+)$")
 
 
@@ -23,6 +25,21 @@ class Declined(WrongUse):
 
 class Untrustworthy(Exception):
     """The data was read, but no result from this data could be trusted (exit status 1)."""
+
+
+class InternalError(Exception):
+    """hil itself failed: neither the request nor the data is the cause (exit status 70). `__cause__` is the error."""
+
+
+def is_shortage(error: BaseException | None) -> bool:
+    """Return whether an error, or the error that caused it, says that the computer has no more open files, memory,
+    processes or threads for hil.
+    """
+    if error is None:
+        return False
+    is_thread = isinstance(error, RuntimeError) and str(error) == "can't start new thread"
+    is_short = isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _NO_MORE)
+    return is_short or is_thread or is_shortage(error.__cause__)
 
 
 def unknown(what: str, name: str, known: Iterable[str], more: str = "") -> WrongUse:

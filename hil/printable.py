@@ -22,9 +22,10 @@ def printable(text: str) -> str:
 
 def quoted(name: str | Path) -> str:
     """Return a name as one word of a shell's command, also if it has spaces or other characters that a shell
-    interprets.
+    interprets, or if it is a path that looks like an option.
     """
-    return shlex.quote(str(name))
+    word = str(name)
+    return shlex.quote(f"./{word}" if isinstance(name, Path) and word.startswith("-") else word)
 
 
 def _escaped(character: str) -> str:

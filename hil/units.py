@@ -106,6 +106,7 @@ pound = 0.45359237 * kilogram = lb = lbs
 ounce = pound / 16 = oz
 minute = 60 * second = min
 hour = 60 * minute = h = hr
+day = 24 * hour = d
 degree = 0.017453292519943295 * radian = deg = °
 arcminute = degree / 60 = arcmin
 arcsecond = arcminute / 60 = arcsec

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.compiled import compiled_no_refcount, compiled_within
-from sim_backend.plant import STATES, Constants, Packed, Vector, at_rest, derivatives
+from sim_backend.plant import MOTOR, MOTOR_RATE, STATES, Constants, Packed, Vector, at_rest, derivatives
 
 Path = NDArray[np.float64]
 """The plant's present state, its recent past and working space: an array (PAST + REMEMBERED, WIDTH) that is changed in
@@ -61,8 +61,11 @@ PAST = SLOPES + 7
 WIDTH = 1 + 2 * STATES
 
 # The places of the clock.
-TIME, STEP, WRITTEN = range(3)
-"""Columns of the clock: time now, s; length of the next step, s; number of steps written to the ring buffer so far."""
+TIME, STEP, WRITTEN, STIFFNESS, DAMPING, CEILING = range(6)
+"""Columns of the clock: time now, s; length of the next step, s; number of steps written to the ring buffer so far;
+then an impedance law of the firmware: N m/rad and N m s/rad by which angle and rate of the motor lower the demanded
+torque within each step, and the largest magnitude of that torque, N m. Without gains the ceiling has no effect.
+"""
 
 
 def start(c: Constants) -> Path:
@@ -75,7 +78,8 @@ def start(c: Constants) -> Path:
 
 @compiled_no_refcount
 def integrate(path: Path, demand: float, until: float, constants: Packed) -> None:
-    """Integrate the path up to `until`, s, while the motor torque `demand`, N m, is demanded of the current loop.
+    """Integrate the path up to `until`, s, while the motor torque `demand`, N m, is demanded of the current loop, less
+    what the impedance law in the clock takes off.
 
     Has no effect if this time has passed. The state becomes NaN if that takes more than `MOST_STEPS` steps.
     """
@@ -92,7 +96,7 @@ def integrate(path: Path, demand: float, until: float, constants: Packed) -> Non
         for stage in range(first, 7):
             for i in range(STATES):
                 trial[i] = state[i] + step * _weighted(TABLEAU[stage], slopes, i, stage)
-            derivatives(trial, demand, constants[0], slopes[stage])
+            derivatives(trial, _demanded(demand, clock, trial), constants[0], slopes[stage])
             if stage == 0:
                 _remember(path)  # the past ends with the old slope, the future begins with this
         first = 1
@@ -109,6 +113,16 @@ def integrate(path: Path, demand: float, until: float, constants: Packed) -> Non
         _remember(path)
         if step >= proposed:
             clock[STEP] = SHORTEST if wanted < SHORTEST else wanted if wanted < LONGEST else LONGEST
+
+
+@compiled_within
+def _demanded(demand: float, clock: Vector, state: Vector) -> float:
+    """Return the torque demanded at a state, N m: `demand` less the impedance law of the clock, if it has gains."""
+    if clock[STIFFNESS] == 0.0 and clock[DAMPING] == 0.0:
+        return demand
+    wanted: float = demand - clock[STIFFNESS] * state[MOTOR] - clock[DAMPING] * state[MOTOR_RATE]
+    most: float = clock[CEILING]
+    return most if wanted > most else -most if wanted < -most else wanted
 
 
 @compiled_no_refcount

@@ -109,7 +109,11 @@ class SimServo:
             watchdog=self._parameters.link.watchdog,
         )
         self._gate = Gate(
-            "the simulated servo", self.info.quantities, torque_off=self._torque_off, release=lambda: None
+            "the simulated servo",
+            self.info.quantities,
+            torque_off=self._torque_off,
+            release=lambda: None,
+            clock=self.clock,
         )
         self._gate.live = False
 

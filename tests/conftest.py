@@ -101,9 +101,10 @@ def nothing_is_left_running() -> Iterator[None]:
     before, tracer = set(threading.enumerate()), sys.gettrace()
     yield
     sys.settrace(tracer)  # what a signal raises while coverage is at work ends it for all tests to come
-    # numba keeps its own pool for the life of the process; everything else a test starts, it ends
+    # numba keeps its own pool for the life of the process; everything else a test starts, it ends. A finalizer that
+    # logs in a thread that is just ending enters that thread once more, as a dummy, for good
     left = [thread for thread in threading.enumerate() if thread not in before and thread.is_alive()]
-    assert left == []
+    assert [thread for thread in left if not isinstance(thread, threading._DummyThread)] == []
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
 

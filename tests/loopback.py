@@ -108,6 +108,9 @@ class CanLoopback(can.BusABC):
             super().shutdown()
         self.closed = True
 
+    def __del__(self) -> None:
+        """Nothing to release: python-can's warns of a bus left open, in whichever thread collects the garbage."""
+
     def _check(self) -> None:
         if self.closed or self.bus.unplugged:
             raise can.CanOperationError("the adapter is gone")

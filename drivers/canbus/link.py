@@ -20,9 +20,11 @@ from typing import TYPE_CHECKING, Any
 import can
 import serial
 
-from drivers.canbus.damiao import DamiaoBus
-from drivers.canbus.damiao import encoded as damiao_bytes
+from drivers.canbus.at_frames import AtFrames
+from drivers.canbus.damiao import DamiaoFrames
 from drivers.canbus.off_path import Encode, datagram, encoded, from_slcan_text, slcan_text, socketcan_bytes
+from drivers.canbus.serial_bus import SerialBus
+from drivers.clock import no_later
 from drivers.off_path import OffPath, OwnBus, descriptor_of
 from drivers.owner import Claim
 from drivers.servo import BadReply, DriverError, LinkLost, NoReply, link_lost
@@ -39,6 +41,7 @@ WRITE_TIMEOUT = 0.1
 """s in which the interface must accept a frame; without a limit a stuck adapter would block this program for ever."""
 BUDGET = 2048
 """Most frames that are read at once; a bus that has more frames to read counts as one that never falls silent."""
+_AT_LEAST = 5e-3  # s of that, though the time for replies is over
 _BUS_OFF = 0x040  # class of error frame, include/uapi/linux/can/error.h
 _FD_CLOCK = 80_000_000
 _SLCAN_SETTLE = 0.05
@@ -62,9 +65,13 @@ _GARBLED: tuple[type[Exception], ...] = (ValueError, IndexError, TypeError, KeyE
 """The errors that slcan raises, or wraps, for bytes that do not form a frame; UnicodeDecodeError is a ValueError."""
 
 
+_ADAPTERS: dict[str, type[AtFrames | DamiaoFrames]] = {"damiao": DamiaoFrames, "robstride": AtFrames}
+"""Serial adapters with frames of their makers."""
+
+
 def interfaces() -> list[str]:
     """Return the kinds of bus that a stand file can name."""
-    return sorted({"damiao", *can.interfaces.VALID_INTERFACES})
+    return sorted({*_ADAPTERS, *can.interfaces.VALID_INTERFACES})
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,8 +151,8 @@ def open_interface(config: BusConfig) -> can.BusABC:
     try:
         if config.interface == "udp_multicast":
             return _multicast(config.channel)
-        if config.interface == "damiao" and not config.data_bitrate:
-            return DamiaoBus(config.channel, config.bitrate)
+        if config.interface in _ADAPTERS and not config.data_bitrate:
+            return SerialBus(config.channel, _ADAPTERS[config.interface](config.bitrate))
         bus: can.BusABC = can.Bus(
             interface=config.interface, channel=config.channel, ignore_config=True, **_options(config)
         )
@@ -204,8 +211,9 @@ class CanLink:
         """Send a frame. Raises LinkLost, and NoReply where no node on the bus acknowledges."""
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
+        now = self._clock.now()
         try:
-            self._bus.send(message, timeout=WRITE_TIMEOUT)
+            self._bus.send(message, timeout=max(_AT_LEAST, no_later(now + WRITE_TIMEOUT) - now))
         except _GONE as error:
             if _is_full(error):
                 raise NoReply(
@@ -221,6 +229,7 @@ class CanLink:
         """
         if self._closed:
             raise LinkLost(f"{self.name} is closed")
+        deadline = no_later(deadline)
         for _ in range(BUDGET):
             message = self._next(max(0.0, deadline - self._clock.now()))
             if message is not None and message.is_error_frame:
@@ -255,8 +264,8 @@ class CanLink:
         config, bus = self._config, self._bus
         where: dict[str, Any] = {}
         encode: Encode = slcan_text
-        if isinstance(self._bus, DamiaoBus):  # no bytes that end its frame are without effect on the motor
-            encode, where = damiao_bytes, {"descriptor": descriptor_of(self._port)}
+        if isinstance(bus, SerialBus):  # no bytes that end its frame are without effect on the motor
+            encode, where = bus.frames.encoded, {"descriptor": descriptor_of(self._port)}
         elif self._port is not None:
             where = {"descriptor": descriptor_of(self._port), "resync": b"\r"}
         elif not self._opened_here or config.interface == "virtual":

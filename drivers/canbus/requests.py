@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING
 
+from drivers.clock import no_later
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply
 from drivers.uart.adapter import Lateness
@@ -142,7 +143,7 @@ class Requests:
         """Process frames until `done()` is true, for at most `seconds`. Return whether `done()` is true. Raises
         LinkLost.
         """
-        end = self._clock.now() + seconds
+        end = no_later(self._clock.now() + seconds)
         self.process()
         while not done() and self._clock.now() < end:
             try:

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
+from drivers.torque_constant import implausible
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,8 @@ class Cia402Config:
 
     def __post_init__(self) -> None:
         check_watchdog("cia402", self.watchdog, self.reply_timeout)
+        if problem := implausible("cia402.torque_constant", self.torque_constant):
+            raise ValueError(problem)
         if self.id == self.own_id:
             raise ValueError(f"cia402.own_id {self.own_id} is the drive's own id: choose another")
         if self.profile == "epos2" and self.torque_constant is None:

@@ -10,6 +10,7 @@ from drivers.canbus.requests import SECOND_REPLY
 from drivers.cia402.network import Refused
 from drivers.cia402.profiles import ObjectIndex
 from drivers.servo import BadReply, DriverError, NoReply
+from drivers.torque_constant import contradiction
 
 if TYPE_CHECKING:
     from drivers.canbus.link import CanLink
@@ -128,8 +129,14 @@ class Nameplate:
         )
 
     def _rated_torque(self) -> float:
-        if self._config.rated_torque is not None or self._profile.rated_torque is None:
-            return self._config.rated_torque or math.nan
+        given = self._config.rated_torque
+        if given is not None and self._profile.torque_constant is not None and self._profile.rated_torque is not None:
+            place = self._profile.rated_torque
+            reported = self._objects.get(place) * self._profile.rated_torque_unit
+            if problem := contradiction("cia402.rated_torque", given, reported, f"the drive (object {place})", "N m"):
+                raise DriverError(problem)
+        if given is not None or self._profile.rated_torque is None:
+            return given or math.nan
         unit = self._config.rated_torque_unit or self._profile.rated_torque_unit
         return self._agreed("rated_torque", None, self._objects.get(self._profile.rated_torque) * unit, "N m")
 

@@ -19,6 +19,7 @@ from drivers.cia402.profiles import HEARTBEAT_LOST, NOT_ENABLED, RESTARTED, Obje
 from drivers.cia402.states import DISABLE_VOLTAGE, FAULT_RESET, NEXT, QUICK_STOP, DriveState, state_of
 from drivers.retry import retry
 from drivers.servo import DeviceFault, DriverError, NoReply
+from drivers.torque_constant import check_current
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -155,6 +156,10 @@ class Node:
             self._lower(kind.torque_limit, limits.torque / scale.torque, "torque limit")
         if kind.current_limit is not None:
             amperes = limits.torque / scale.torque_constant
+            if kind.torque_constant is None:
+                own = self.objects.get(kind.current_limit) * kind.current_limit_unit
+                place = f"object {kind.current_limit}"
+                check_current("cia402.torque_constant", scale.torque_constant, limits.torque, own, place)
             self._lower(kind.current_limit, amperes / kind.current_limit_unit, "current limit")
         self._lower(kind.speed_limit, limits.velocity / (kind.speed_limit_unit or scale.velocity), "speed limit")
         if kind.temperature_limit is not None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.link import CanLink
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.node import TPDO1, TPDO2, Node
+from drivers.cia402.scan import neighbours
 from drivers.cia402.states import ENABLE, LIMITING, DriveState, state_of
 from drivers.clock import Clock, MonotonicClock
 from drivers.gate import Gate, to_counts
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     import can
 
+    from drivers.neighbours import Neighbour
     from drivers.off_path import OffPath
 
 _TRIES = 3
@@ -56,6 +58,7 @@ class Cia402Servo:
             quantities,
             torque_off=self._torque_off,
             release=self._link.close,
+            clock=self.clock,
             repeats=self._node.network.requests.repeats,
         )
         with self._gate.opening(self._node.stop):
@@ -133,6 +136,10 @@ class Cia402Servo:
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`."""
         self._gate.fall_silent()
+
+    def neighbours(self) -> list[Neighbour]:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return neighbours(self._link, self.clock, self._config)
 
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""

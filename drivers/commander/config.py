@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.gate import check_watchdog
+from drivers.torque_constant import implausible
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,3 +37,5 @@ class CommanderConfig:
 
     def __post_init__(self) -> None:
         check_watchdog("commander", self.watchdog, self.reply_timeout)
+        if problem := implausible("commander.torque_constant", self.torque_constant):
+            raise ValueError(problem)

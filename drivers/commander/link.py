@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
+from drivers.clock import no_later
 from drivers.off_path import OffPath, descriptor_of, serial_interval
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply, link_lost
@@ -75,7 +76,7 @@ class CommanderLink:
         text = "".join(f"{command}\n" for command in commands)
         self._put(text)
         due = self._clock.now() + 10.0 * (len(text) + _REPLY) / self._baudrate
-        deadline = due + self._late.wait
+        deadline = no_later(due + self._late.wait)
         other = ""
         while True:
             for line in self._take():
@@ -124,7 +125,7 @@ class CommanderLink:
         """Wait for late replies. Raises BadReply if the line does not fall silent."""
         if not self._quarantined:
             return
-        end = self._clock.now() + _PATIENCE
+        end = no_later(self._clock.now() + _PATIENCE)
         quiet_since = self._clock.now()
         while self._clock.now() - quiet_since < self._late.silence:
             if self._receive():

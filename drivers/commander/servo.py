@@ -28,6 +28,7 @@ from drivers.servo import (
     ServoInfo,
     Status,
 )
+from drivers.torque_constant import check_current
 from drivers.uart.port import GONE, OpenPort, open_port
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ class CommanderServo:
             quantities,
             torque_off=self._torque_off,
             release=self._close_link,
+            clock=self.clock,
             repeats=self._link.repeats,
         )
         with self._gate.opening():
@@ -99,6 +101,10 @@ class CommanderServo:
             self._set("E0", "E", "0")  # first: a target means something else in every mode
             self._prepare()
             self._stop_printing()
+            own = number(self._link.ask(f"{self._m}LC", f"{self._m}LC"))
+            if own:
+                key = "commander.torque_constant"
+                check_current(key, self._config.torque_constant, limits.torque, own, f"{self._m}LC of the board")
             self._set("C0", "C", "torque")
             self._set(f"T{mode}", "T", confirmed)
             self._limit("LC", current, "current")

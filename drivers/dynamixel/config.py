@@ -13,6 +13,7 @@ from pydantic import BeforeValidator
 from drivers.dynamixel.models import DynamixelModel, models, no_current
 from drivers.gate import watchdog_problem
 from drivers.servo import Quantity
+from drivers.torque_constant import contradiction
 
 
 def _known(name: object) -> object:
@@ -75,6 +76,9 @@ class DynamixelConfig:
     def _misfits_of(self, model: DynamixelModel) -> Iterator[str]:
         if not model.current_lsb and self.effective_mode != "extended-position":
             yield f"dynamixel.mode {self.mode!r}: the {model.name} has no current control"
+        source = f"the maker's stall points of the {model.name}"
+        if problem := contradiction("dynamixel.torque_constant", self.torque_constant, model.torque_constant, source):
+            yield problem
         if model.protocol == 2:
             return
         if self.mode == "current-based-position":

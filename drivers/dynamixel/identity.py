@@ -8,8 +8,9 @@ import contextlib
 from typing import TYPE_CHECKING, get_args
 
 from drivers.dynamixel.config import Baudrate
-from drivers.dynamixel.models import models, name_of
+from drivers.dynamixel.models import models, name_of, torque_enable
 from drivers.dynamixel.wire import Wire2, wire_1
+from drivers.packets.neighbours import holding, others
 from drivers.packets.scan import search_every_rate
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.dynamixel.config import DynamixelConfig
     from drivers.dynamixel.series import Series
+    from drivers.neighbours import Neighbour
     from drivers.packets.bus import Bus
     from drivers.packets.control_table import ControlTable
     from drivers.packets.port import SerialPort
@@ -111,6 +113,26 @@ def _unmuted(bus: Bus, table: ControlTable, series: Series) -> tuple[int, int]:
             "the servo answers a ping and nothing else: its Status Return Level(16) is 0 and could not be changed; "
             "switch it off and on, and set that register to 2 with DYNAMIXEL Wizard"
         ) from None
+
+
+def neighbours(bus: Bus, ident: int, series: Series) -> list[Neighbour]:
+    """Return the other servos on the line that speak the protocol of `series` and whose torque is on or cannot be read.
+
+    ident: of the stand's servo. Raises DriverError.
+    """
+    found: list[Neighbour] = []
+    if isinstance(series.wire, Wire2):
+        for other, number in others(ident, bus.ping_all):
+            found += holding(bus.beside(other), other, name_of(number), torque_enable(number))
+        return found
+    address = torque_enable(0)
+    for other, _ in others(ident, lambda: bus.ping_each(range(253))):
+        beside = bus.beside(other)
+        kind = "of a kind that it does not report"
+        with contextlib.suppress(NoReply, BadReply):
+            kind = name_of(int.from_bytes(beside.read(0, 2), "little"))
+        found += holding(beside, other, kind, address)
+    return found
 
 
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:

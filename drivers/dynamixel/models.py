@@ -10,8 +10,10 @@ from statistics import fmean
 
 from drivers.tables import table
 
-POSITION_LSB = math.tau / 4096.0
-"""rad in one count (Present Position(132): 4096 counts a turn)."""
+TURN = 4096
+"""Counts of position in one turn, Present Position(132)."""
+POSITION_LSB = math.tau / TURN
+"""rad in one count of position."""
 VELOCITY_LSB = 0.229 * math.tau / 60.0
 """rad/s in one count of the X series (Present Velocity(128): 0.229 rev/min)."""
 
@@ -93,3 +95,14 @@ def name_of(number: int) -> str:
     known = {model.number: name for name, model in models().items()}
     known |= {refused: name for name, refused in table("dynamixel")["refused"].items()}
     return known.get(number, "of a kind not known here")
+
+
+def torque_enable(number: int) -> int | None:
+    """Return the address of Torque Enable of the model `number`, None if it is not known. 0: any model of protocol 1.0.
+
+    Source: e-manual, emanual.robotis.com/docs/en/dxl/: 24 in all servos of protocol 1.0 and in the XL-320.
+    """
+    if number in {0, *table("dynamixel")["refused"].values()}:
+        return registers(1)["torque_enable"].address
+    known = {model.number: model.protocol for model in models().values()}
+    return registers(known[number])["torque_enable"].address if number in known else None

@@ -15,7 +15,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from drivers.dynamixel.faults import reboot, shut_down
-from drivers.dynamixel.models import DynamixelModel, DynamixelRegister, registers
+from drivers.dynamixel.models import TURN, DynamixelModel, DynamixelRegister, registers
 from drivers.dynamixel.series import DynamixelState
 from drivers.dynamixel.wire import wire_1
 from drivers.servo import DriverError
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from drivers.dynamixel.config import DynamixelConfig
+    from drivers.overload import Overload
     from drivers.packets.bus import Bus
     from drivers.packets.control_table import ControlTable
     from drivers.packets.wire import Wire
     from drivers.servo import Limits
 
 _FIELDS = struct.Struct("<hHHBBBBBBHH16xH")  # position, speed, load, V, degC, 44 to 47, punch, tick, current
-_TURN = 4096
 _MULTI_TURN = 4095  # in both angle limits
 _LONGEST_POSITION = 28672
 _NO_CURRENT = 2048
@@ -90,6 +90,10 @@ class MxSeries:
         """Return `torque`, N m, in counts of Torque Limit(34) and Goal Torque(71)."""
         return min(math.floor(torque / self._limit_lsb + 1e-9), self._model.current_max)
 
+    def choose_mode(self, table: ControlTable) -> None:
+        """See `Series`. Nothing is written: the mode follows from the angle limits, which do not change the angle."""
+        del table
+
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """See `Series`."""
         table.settings.require("temperature_limit", min(math.floor(limits.temperature), self._model.temperature_max))
@@ -122,6 +126,11 @@ class MxSeries:
         register = self.registers["goal_position"]
         return register.address, register.encoded(clipped - turns_off), clipped
 
+    def overload(self, table: ControlTable) -> Overload | None:
+        """See `Series`. The manual does not say at which load a servo with protocol 1.0 switches its torque off."""
+        del table
+        return None
+
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault if a reply carries hardware errors."""
         del table
@@ -145,7 +154,7 @@ class MxSeries:
         if self._raw is None:
             self._position = raw
         else:
-            self._position += (raw - self._raw + _TURN // 2) % _TURN - _TURN // 2
+            self._position += (raw - self._raw + TURN // 2) % TURN - TURN // 2
         self._raw = raw
         return self._position
 

@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from drivers.dynamixel.models import DynamixelRegister
+    from drivers.overload import Overload
     from drivers.packets.bus import Bus
     from drivers.packets.control_table import ControlTable
     from drivers.packets.wire import Wire
@@ -58,6 +59,11 @@ class Series(Protocol):
         limit.
         """
 
+    def choose_mode(self, table: ControlTable) -> None:
+        """Write the operating mode, on which the angle may depend, before the first angle is read. The torque must be
+        off.
+        """
+
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """Write mode and limits and read them back. The torque must be off. ceiling: the torque limit in counts."""
 
@@ -71,6 +77,9 @@ class Series(Protocol):
 
         ceiling: the torque limit in counts.
         """
+
+    def overload(self, table: ControlTable) -> Overload | None:
+        """Return the load at which the servo switches its torque off; None if that is off or not known."""
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault if an error is latched."""

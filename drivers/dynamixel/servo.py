@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.clock import Clock, MonotonicClock
 from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify
-from drivers.dynamixel.models import POSITION_LSB, DynamixelModel, models
+from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify, neighbours
+from drivers.dynamixel.models import POSITION_LSB, TURN, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.x import XSeries
 from drivers.gate import Admitted, Gate, below_one_count, to_counts
+from drivers.neighbours import Neighbour
 from drivers.off_path import OffPath
+from drivers.overload import Overload
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
+from drivers.packets.hand import HandBus
 from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
@@ -49,6 +52,9 @@ class DynamixelServo:
         self._series: Series = kind(self._model, config, self._torque_lsb)
         self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, self._series.wire)
         self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
+        torque, position = (self._series.registers[name] for name in ("torque_enable", "present_position"))
+        place = (position.address, position.size)
+        self._hand = HandBus(self._bus, config.id, torque=torque, position=place, counts=position.decoded, turn=TURN)
         self._tick = TickClock()
         self._impossible = 0
         self._ceiling = 0
@@ -59,6 +65,7 @@ class DynamixelServo:
             frozenset({quantity}),
             torque_off=self._torque_off,
             release=self._port.closePort,
+            clock=self.clock,
             repeats=self._bus.repeats,
             mode_key="dynamixel.mode",
         )
@@ -68,6 +75,7 @@ class DynamixelServo:
             self.disarm()
             self._table.settings.require("return_delay_time", round(config.return_delay / RETURN_DELAY_LSB))
             self._bus.return_delay = config.return_delay
+            self._series.choose_mode(self._table)
         self.info = self._describe(firmware, quantity)
 
     @property
@@ -89,6 +97,7 @@ class DynamixelServo:
             self._series.raise_latched(self._bus, self._table)
             self._table.settings.require("torque_enable", 0)
             self._series.prepare(self._table, limits, ceiling)
+            self._hand.begin(self._table.get("present_position"))
             self._enable(ceiling)
 
     def exchange(self, command: Command) -> Sample:
@@ -109,7 +118,10 @@ class DynamixelServo:
         self._last_request = sent
         if self._bus.alert:
             self._look_for_faults()
-        return self._sample(raw, sent, received, saturated=saturated)
+        sample = self._sample(raw, sent, received, saturated=saturated)
+        if self._hand.watches and self._gate.armed:
+            self._hand.look(round(sample.motor_position / POSITION_LSB))
+        return sample
 
     def disarm(self) -> None:
         """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
@@ -123,15 +135,36 @@ class DynamixelServo:
         """See `Gate.fall_silent`."""
         self._gate.fall_silent()
 
+    def neighbours(self) -> list[Neighbour]:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return neighbours(self._bus, self._config.id, self._series)
+
+    def overload(self, limits: Limits) -> Overload | None:
+        """See `drivers.overload.HasOverload`."""
+        del limits
+        return self._series.overload(self._table)
+
+    def join_hand(self, joints: Mapping[str, int]) -> None:
+        """See `drivers.neighbours.JoinsHand`."""
+        self._hand.join(joints)
+
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
-        return off_path(self._port, self._table, self._series.off, self._series.zero_after_off)
+        series, beside = self._series, self._hand.neighbours
+        return off_path(self._port, self._table, series.off, zero_after=series.zero_after_off, neighbours=beside)
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
         """Call `journal` before each write of a setting."""
         self._table.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
+        self._hand.switch_off(self._switch_off)
+        with contextlib.suppress(DriverError):
+            for name in self._series.zero_after_off:
+                self._table.put(name, 0)
+
+    def _switch_off(self) -> None:
+        """Switch this servo off and read it back. Raises DriverError if it is not off."""
         try:
             self._table.put("torque_enable", 0)
             if self._table.get("torque_enable"):
@@ -141,9 +174,6 @@ class DynamixelServo:
                 for name in self._series.off:
                     self._bus.send(self._table.registers[name].address, bytes(self._table.registers[name].size))
             raise
-        with contextlib.suppress(DriverError):
-            for name in self._series.zero_after_off:
-                self._table.put(name, 0)
 
     def _describe(self, firmware: str, quantity: Quantity) -> ServoInfo:
         stated = self._config.torque_constant is not None

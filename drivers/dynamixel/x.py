@@ -15,6 +15,7 @@ from drivers.dynamixel.faults import latched, reboot, watchdog
 from drivers.dynamixel.models import VELOCITY_LSB, DynamixelModel, DynamixelRegister, registers
 from drivers.dynamixel.series import DynamixelState
 from drivers.dynamixel.wire import Wire2
+from drivers.overload import Overload
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,6 +32,7 @@ _FIELDS = struct.Struct(
 )  # tick, moving, status, PWM, current, velocity, position, two trajectories, V, degC
 _WATCHDOG_LSB = 0.02
 _LONGEST_POSITION = 256 * 4096
+_PWM_MOST, _OVERLOAD = 885, 0x20
 _TORQUE_ON_BY_GOAL = 0x08  # Drive Mode(10) bit 3
 
 
@@ -68,11 +70,15 @@ class XSeries:
             return 0
         return min(math.floor(torque / self._torque_lsb + 1e-9), self._model.current_max)
 
+    def choose_mode(self, table: ControlTable) -> None:
+        """See `Series`. Position control mode ignores a large Homing Offset(20)."""
+        table.settings.require("operating_mode", _MODE_CODES[self._mode])
+
     def prepare(self, table: ControlTable, limits: Limits, ceiling: int) -> None:
         """See `Series`."""
         model = self._model
         table.put("bus_watchdog", 0)
-        table.settings.require("operating_mode", _MODE_CODES[self._mode])
+        self.choose_mode(table)
         table.settings.require("drive_mode", table.get("drive_mode") & ~_TORQUE_ON_BY_GOAL)
         table.settings.require("temperature_limit", min(math.floor(limits.temperature), model.temperature_max))
         velocity = math.floor(limits.velocity / VELOCITY_LSB)
@@ -105,6 +111,18 @@ class XSeries:
         )
         clipped = max(-most, min(most, counts))
         return register.address, register.encoded(clipped), clipped
+
+    def overload(self, table: ControlTable) -> Overload | None:
+        """See `Series`. The load is that at which the current loop needs the whole of PWM Limit(36)."""
+        shutdown, limit = table.get("shutdown"), table.get("pwm_limit")
+        if not shutdown & _OVERLOAD or not self._model.stall:
+            return None
+        acts = (
+            f"if that lasts, the servo switches its torque off: Shutdown(63) is {shutdown}, with the bit for an "
+            f"overload, and PWM Limit(36) {limit} of {_PWM_MOST}"
+        )
+        remedy = f"raise PWM Limit(36) to {_PWM_MOST}" if limit < _PWM_MOST else "choose a stronger servo"
+        return Overload(self._config.largest_torque * limit / _PWM_MOST, acts, remedy)
 
     def raise_latched(self, bus: Bus, table: ControlTable) -> None:
         """Raise DeviceFault if Hardware Error Status(70) is not zero."""

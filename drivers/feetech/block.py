@@ -63,12 +63,16 @@ class Block:
         """Decode the reply to the last request."""
         data = raw[self._last :]
         return FeetechState(
-            signed(self._word(data, 0), 15),
+            self.position(data),
             signed(self._word(data, 2), 15) * self.velocity_lsb,
             signed(self._word(data, 13), 15) * CURRENT_LSB if self._model.has_current else 0.0,
             data[6] * 0.1,
             float(data[7]),
         )
+
+    def position(self, data: bytes) -> int:
+        """Return the position in counts from the bytes at `START`."""
+        return signed(self._word(data, 0), 15)
 
     def _word(self, data: bytes, at: int) -> int:
         return int.from_bytes(data[at : at + 2], "big" if self._big else "little")

@@ -10,6 +10,7 @@ from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.feetech.models import CURRENT_LSB, FeetechModel, models
 from drivers.servo import Quantity
+from drivers.torque_constant import contradiction, implausible_stall
 
 if TYPE_CHECKING:
     ModelName = str
@@ -119,3 +120,8 @@ class FeetechConfig:
             yield f"feetech.torque_constant: must be given for the {model.name}, N m/A at its output shaft"
         if not model.has_current and self.torque_constant:
             yield f"feetech.torque_constant: the {model.name} measures no current: remove it"
+        key, given = "feetech.torque_constant", self.torque_constant
+        source = f"the maker's stall point of the {model.name}"
+        problem = contradiction(key, given, model.torque_constant, source)
+        if problem := problem or implausible_stall(key, given, model.stall, model.name):
+            yield problem

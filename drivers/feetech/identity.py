@@ -12,18 +12,21 @@ from drivers.feetech.config import Baudrate, FeetechConfig
 from drivers.feetech.faults import ALERTS
 from drivers.feetech.models import models, name_of, registers
 from drivers.packets.bus import Bus
+from drivers.packets.neighbours import holding, others
 from drivers.packets.scan import search_every_rate
-from drivers.packets.wire import Wire1
+from drivers.packets.wire import BROADCAST, Wire1
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
+    from drivers.neighbours import Neighbour
     from drivers.packets.port import SerialPort
 
 _MEMORY = 71
 _LINE = 16
 _PATIENCE = 0.02  # s
+_TORQUE_ENABLE = 40  # in every family: table.toml
 
 
 def identify(bus: Bus, config: FeetechConfig) -> str:
@@ -80,6 +83,17 @@ def _dump(bus: Bus) -> str:
         except (NoReply, BadReply):
             lines.append(f"{first}: not readable")
     return "; ".join(lines)
+
+
+def neighbours(bus: Bus, ident: int) -> list[Neighbour]:
+    """Return the other servos on the line whose torque is on or cannot be read. ident: of the stand's servo. Raises
+    DriverError.
+    """
+    found: list[Neighbour] = []
+    for other, _ in others(ident, lambda: bus.ping_each(range(BROADCAST))):
+        beside = bus.beside(other)
+        found += holding(beside, other, _kind(beside), _TORQUE_ENABLE)
+    return found
 
 
 def search(config: FeetechConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:

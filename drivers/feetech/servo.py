@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.clock import Clock, MonotonicClock
-from drivers.feetech.block import Block, FeetechState
+from drivers.feetech.block import START, Block, FeetechState
 from drivers.feetech.config import FeetechConfig
 from drivers.feetech.faults import ALERTS, reported, restarted
-from drivers.feetech.identity import identify
+from drivers.feetech.identity import identify, neighbours
 from drivers.feetech.models import CURRENT_LSB, FeetechModel, models, registers
 from drivers.gate import Admitted, Gate, below_one_count, to_counts
+from drivers.neighbours import Neighbour
 from drivers.off_path import OffPath
+from drivers.overload import Overload
 from drivers.packets.bus import Bus
 from drivers.packets.control_table import ControlTable
+from drivers.packets.hand import HandBus
 from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
 from drivers.packets.wire import Wire1
@@ -53,6 +56,9 @@ class FeetechServo:
         self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, Wire1(ALERTS))
         self._table = ControlTable(self._bus, self._registers, _EVERYTHING)
         self._block = Block(self._model)
+        torque = self._registers["torque_enable"]
+        place, counts, turn = (START, 2), self._block.position, self._model.turn
+        self._hand = HandBus(self._bus, config.id, torque=torque, position=place, counts=counts, turn=turn)
         self._torque_mode = config.effective_mode == "torque"
         self._torque_lsb = CURRENT_LSB * config.constant
         self._ceiling = 0
@@ -67,6 +73,7 @@ class FeetechServo:
             frozenset({quantity}),
             torque_off=self._torque_off,
             release=self._port.closePort,
+            clock=self.clock,
             repeats=self._bus.repeats,
             mode_key="feetech.mode",
         )
@@ -89,6 +96,7 @@ class FeetechServo:
             self._raise_reported()
             self._switch(on=False)
             self._prepare(limits, ceiling)
+            self._hand.begin(self._block.position(self._bus.read(START, 2)))
             self._enable()
 
     def exchange(self, command: Command) -> Sample:
@@ -111,7 +119,10 @@ class FeetechServo:
         received = self._last_reply = self.clock.now()
         if self._bus.alert:
             raise reported(self._bus.alert)
-        return self._sample(self._block.state(raw), sent, received, saturated=saturated)
+        sample = self._sample(self._block.state(raw), sent, received, saturated=saturated)
+        if self._hand.watches and self._gate.armed:
+            self._hand.look(self._position)
+        return sample
 
     def disarm(self) -> None:
         """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
@@ -132,12 +143,33 @@ class FeetechServo:
         """See `Gate.fall_silent`."""
         self._gate.fall_silent()
 
+    def neighbours(self) -> list[Neighbour]:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return neighbours(self._bus, self._config.id)
+
+    def overload(self, limits: Limits) -> Overload | None:
+        """See `drivers.overload.HasOverload`. An STS or SCS measures the load in % of the torque limit of the run."""
+        if "overload_torque" not in self._registers:
+            return None
+        share, time, rest = map(self._table.get, ("overload_torque", "protection_time", "protective_torque"))
+        number = self._registers["overload_torque"].address
+        acts = (
+            f"after {time * 0.01:g} s the servo reduces its torque to {rest} %: Overload Torque({number}) is {share} % "
+            f"of the torque limit, Protection Time({number - 1}) {time}, Protective Torque({number - 2}) {rest}"
+        )
+        return Overload(0.01 * share * limits.torque, acts, f"set Overload Torque({number}) to 100")
+
+    def join_hand(self, joints: Mapping[str, int]) -> None:
+        """See `drivers.neighbours.JoinsHand`."""
+        self._hand.join(joints)
+
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send.
 
         The torque limit stays zero until the servo is powered up or armed again.
         """
-        return off_path(self._port, self._table, self._off, kept=("torque_limit", "goal_torque"))
+        kept = ("torque_limit", "goal_torque")
+        return off_path(self._port, self._table, self._off, kept=kept, neighbours=self._hand.neighbours)
 
     def keep_journal(self, journal: Callable[[], None]) -> None:
         """Call `journal` before each write of a setting."""
@@ -150,6 +182,10 @@ class FeetechServo:
         return [name for name in ("torque_limit", "goal_torque", "torque_enable") if name in self._registers]
 
     def _torque_off(self, _request: int) -> None:
+        self._hand.switch_off(self._switch_off)
+
+    def _switch_off(self) -> None:
+        """Switch this servo off and read it back. Raises DriverError if it is not off."""
         try:
             self._switch(on=False)
         except DriverError:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import frame
+from drivers.canbus.neighbours import ask_each
 from drivers.canbus.requests import Requests, garbled
 from drivers.mit.frames import (
     CLEAR,
+    ENABLED,
     ENTER,
     LEAVE,
     READ,
@@ -23,6 +25,7 @@ from drivers.mit.frames import (
     models,
     registers,
 )
+from drivers.neighbours import Neighbour
 from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
 from drivers.settings import Settings
@@ -34,13 +37,15 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.mit.config import MitConfig
 
+_HIGHEST = 127
+
 
 class MitMotor:
     """One motor on the bus. Every method raises NoReply, BadReply, LinkLost."""
 
     def __init__(self, config: MitConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
-        self._link = link
+        self._link, self._clock = link, clock
         self.codec = Codec(models()[config.model].family, *config.ranges)
         self.requests = Requests(
             link,
@@ -127,6 +132,36 @@ class MitMotor:
         register = registers()[name]
         data = self._ask_register(self._registers_head(READ) + bytes([register.number]) + bytes(4), register.number)
         return float(register.layout.unpack_from(data, 4)[0])
+
+    def neighbours(self) -> list[Neighbour] | None:
+        """Return the other Damiaos on the bus that are enabled, None for an AK, which reports its state only in reply
+        to a command. Only the request for the state is sent. Raises LinkLost, and NoReply if the bus accepts no frame.
+
+        A reply holds four bits of the id, so it belongs to the motor with these bits that was asked last.
+        """
+        if not self.damiao:
+            return None
+        last: dict[int, int] = {}
+        enabled: set[int] = set()
+
+        def asked(idents: Iterable[int]) -> Iterator[can.Message]:
+            for ident in idents:
+                last[ident & 0xF] = ident
+                yield frame(REGISTERS_ID, ident.to_bytes(2, "little") + bytes([REFRESH]) + bytes(5))
+
+        def take(message: can.Message) -> None:
+            data = bytes(message.data)
+            if not message.is_extended_id and len(data) == 8 and data[0] >> 4 == ENABLED and data[0] & 0xF in last:
+                enabled.add(last[data[0] & 0xF])
+
+        others = [ident for ident in range(1, _HIGHEST + 1) if ident != self._config.id]
+        for _ in range(2):  # other frames on the bus may look like a reply once
+            last.clear()
+            enabled.clear()
+            ask_each(self._link, self._clock, self._config.bitrate, asked(others), take)
+            others = sorted(enabled)
+        release = "disable it, with the frame {:03X}#FFFFFFFFFFFFFFFD"
+        return [Neighbour(one, "a Damiao", "it reports that it is enabled", release.format(one)) for one in others]
 
     def require(self, name: str, value: float) -> None:
         """Write `value` to the register `name` of a Damiao and read it back. The motor loses this value without power.

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     import can
 
+    from drivers.neighbours import Neighbour
     from drivers.off_path import OffPath
 
 _QUANTITIES = frozenset({Quantity.TORQUE})
@@ -53,6 +54,7 @@ class MitServo:
             _QUANTITIES,
             torque_off=self._torque_off,
             release=self._link.close,
+            clock=self.clock,
             repeats=self._motor.requests.repeats,
         )
         with self._gate.opening(self._motor.send_leave):
@@ -118,6 +120,10 @@ class MitServo:
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`. An AK has no request for its state, so the first read switches the motor off."""
         self._gate.fall_silent()
+
+    def neighbours(self) -> list[Neighbour] | None:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return self._motor.neighbours()
 
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""

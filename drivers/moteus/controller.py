@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Hashable
 from functools import partial
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import frame
+from drivers.canbus.neighbours import ask_each
 from drivers.canbus.requests import Requests, garbled
 from drivers.moteus.frames import (
+    FAULT,
+    INT8,
     INT32,
+    STOPPED,
     Registers,
     answers,
     console_read,
@@ -20,6 +25,7 @@ from drivers.moteus.frames import (
     is_console,
     read,
 )
+from drivers.neighbours import Neighbour
 from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
 from drivers.settings import Settings
@@ -32,6 +38,7 @@ if TYPE_CHECKING:
     from drivers.moteus.config import MoteusConfig
 
 _REPLY_WANTED = 0x80
+_HIGHEST = 126
 _POLLS = 40
 """How many times the console is asked for the rest of a line."""
 
@@ -45,7 +52,7 @@ class Controller:
 
     def __init__(self, config: MoteusConfig, link: CanLink, clock: Clock) -> None:
         self._config = config
-        self._link = link
+        self._link, self._clock = link, clock
         self.requests = Requests(
             link,
             clock,
@@ -86,6 +93,32 @@ class Controller:
             raise self._no_reply(error) from None
         self.requests.check_alone("registers")
         return registers
+
+    def neighbours(self) -> list[Neighbour]:
+        """Return the other controllers whose mode is neither stopped nor fault. Only reads are sent. Raises LinkLost,
+        and NoReply if the bus accepts no frame.
+        """
+        modes: dict[int, int] = {}
+
+        def take(message: can.Message) -> None:
+            ident = message.arbitration_id >> 8
+            if message.arbitration_id & 0xFF == self._config.source and 1 <= ident <= _HIGHEST:
+                with contextlib.suppress(DriverError):
+                    modes[ident] = int(answers(bytes(message.data)).get("mode", STOPPED))
+
+        others = (ident for ident in range(1, _HIGHEST + 1) if ident not in {self._config.id, self._config.source})
+        asked = (self._frame(read("mode", INT8), to=ident) for ident in others)
+        ask_each(self._link, self._clock, self._config.bitrate, asked, take)
+        return [
+            Neighbour(
+                ident,
+                "a moteus",
+                f"its mode is {mode}, and 0 is stopped",
+                f"stop it, with the CAN FD frame {self._config.source << 8 | ident:03X}#010000 (`d stop` in tview)",
+            )
+            for ident, mode in sorted(modes.items())
+            if mode not in {STOPPED, FAULT}
+        ]
 
     def get(self, name: str) -> float:
         """Return the number `name` of the configuration. Raises DriverError if the controller has no such number."""
@@ -135,8 +168,8 @@ class Controller:
     def _poll(self) -> bytes:
         return console_text(self.requests.ask_once([self._frame(console_read())], ["console"])["console"])
 
-    def _frame(self, *subframes: bytes, asking: bool = True) -> can.Message:
-        ident = (self._config.source | (_REPLY_WANTED if asking else 0)) << 8 | self._config.id
+    def _frame(self, *subframes: bytes, asking: bool = True, to: int | None = None) -> can.Message:
+        ident = (self._config.source | (_REPLY_WANTED if asking else 0)) << 8 | (self._config.id if to is None else to)
         return frame(ident, filled(subframes), extended=ident > 0x7FF, fd=True)
 
     def _kind(self, message: can.Message) -> Hashable | None:

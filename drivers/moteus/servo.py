@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
     import can
 
+    from drivers.neighbours import Neighbour
     from drivers.off_path import OffPath
 
 _TRIES = 3
@@ -83,6 +84,7 @@ class MoteusServo:
             torque_off=self._torque_off,
             release=self._link.close,
             mode_key="moteus.mode",
+            clock=self.clock,
             repeats=self._controller.requests.repeats,
         )
         with self._gate.opening(lambda: self._controller.send(_STOP)):
@@ -145,6 +147,10 @@ class MoteusServo:
     def fall_silent(self) -> None:
         """See `Gate.fall_silent`."""
         self._gate.fall_silent()
+
+    def neighbours(self) -> list[Neighbour]:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return self._controller.neighbours()
 
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""

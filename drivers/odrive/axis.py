@@ -9,8 +9,11 @@ import math
 from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
+from drivers.canbus.neighbours import listen
 from drivers.canbus.requests import Requests, garbled
-from drivers.odrive.messages import Codec
+from drivers.gate import CONFIRMS
+from drivers.neighbours import Neighbour
+from drivers.odrive.messages import COMMAND_BITS, IDLE, Codec
 from drivers.retry import retry
 from drivers.servo import BadReply, DriverError, NoReply
 
@@ -23,10 +26,15 @@ if TYPE_CHECKING:
 
 _SLOWEST = 2.5
 """s to wait for a heartbeat, whose period a user may change; it is 0.1 s in a new drive."""
+_FASTER = "set its period to 0.1 s, heartbeat_msg_rate_ms = 100 (firmware 0.5: heartbeat_rate_ms), with odrivetool"
 _SHORTEST = 0.35
 """s for which a heartbeat is waited for at least, however short its period."""
 _CYCLE = 0.12
 """s to wait for a cyclic message of torque or current: if the drive sends any, one arrives within this time."""
+
+_NEIGHBOURS = 1.0
+"""s for which other axes' heartbeats are listened to; their period is 0.1 s in a new drive."""
+_HEARTBEAT, _SET_STATE = 0x01, 0x07  # command numbers in every firmware: table.toml
 
 
 class Axis:
@@ -87,15 +95,42 @@ class Axis:
         if not self.requests.wait_until(self.patience, lambda: self.beats > beats):
             raise NoReply(
                 f"ODrive axis {self._config.id} answers, but sends no heartbeat within {self.patience:.3g} s, and only "
-                "the heartbeat tells its state: set the heartbeat's period to 0.1 s, heartbeat_msg_rate_ms = 100 "
-                "(firmware 0.5: heartbeat_rate_ms), with odrivetool"
+                f"the heartbeat tells its state: {_FASTER}"
             )
+
+    def neighbours(self) -> list[Neighbour]:
+        """Return the other axes that a heartbeat shows in another state than idle. Nothing is sent. Raises LinkLost."""
+        states: dict[int, int] = {}
+
+        def take(message: can.Message) -> None:
+            ident, number = divmod(message.arbitration_id, 1 << COMMAND_BITS)
+            data = bytes(message.data)
+            if number == _HEARTBEAT and ident != self._config.id and len(data) == 8 and not message.is_extended_id:
+                states[ident] = data[4]
+
+        listen(self._link, self._clock, _NEIGHBOURS, take)
+        return [
+            Neighbour(
+                ident,
+                "an ODrive axis",
+                f"its heartbeat reports the state {state}, and 1 is idle",
+                f"request its state idle, with the frame {ident << COMMAND_BITS | _SET_STATE:03X}#01000000",
+            )
+            for ident, state in sorted(states.items())
+            if state > IDLE
+        ]
 
     def _measure_period(self) -> None:
         self.await_heartbeat()
         begin = self._clock.now()
         self.await_heartbeat()
-        self.patience = max(_SHORTEST, 1.5 * (self._clock.now() - begin))
+        period = self._clock.now() - begin
+        if period > CONFIRMS:
+            raise DriverError(
+                f"ODrive axis {self._config.id} sends a heartbeat every {period:.2g} s. Only this confirms that "
+                f"the torque is off, which must take at most {CONFIRMS:g} s: {_FASTER}"
+            )
+        self.patience = max(_SHORTEST, 1.5 * period)
 
     def _version(self) -> tuple[int, ...] | None:
         """Return the firmware version by Get_Version; None if there is no reply, as with firmware 0.5."""

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le, Unit
 
 from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
+from drivers.torque_constant import implausible
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,8 @@ class OdriveConfig:
 
     def __post_init__(self) -> None:
         check_watchdog("odrive", self.watchdog, self.reply_timeout)
+        if problem := implausible("odrive.torque_constant", self.torque_constant):
+            raise ValueError(problem)
 
     @property
     def bus(self) -> BusConfig:

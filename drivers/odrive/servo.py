@@ -15,7 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock, MonotonicClock, no_later
 from drivers.gate import Gate
 from drivers.odrive.axis import Axis
 from drivers.odrive.config import OdriveConfig
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
     import can
 
+    from drivers.neighbours import Neighbour
     from drivers.off_path import OffPath
 
 _AGAIN = 0.35
@@ -65,6 +66,7 @@ class OdriveServo:
             quantities,
             torque_off=self._torque_off,
             release=self._link.close,
+            clock=self.clock,
             repeats=self._axis.requests.repeats,
         )
         with self._gate.opening(lambda: self._axis.requests.send([self._axis.codec.put("set_state", IDLE)])):
@@ -144,6 +146,10 @@ class OdriveServo:
         """See `Gate.fall_silent`."""
         self._gate.fall_silent()
 
+    def neighbours(self) -> list[Neighbour]:
+        """See `drivers.neighbours.HasNeighbours`."""
+        return self._axis.neighbours()
+
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._off(), self._parameters.restoring() if self._parameters else ())
@@ -159,7 +165,8 @@ class OdriveServo:
     def _torque_off(self, _request: int) -> None:
         self._axis.requests.send(self._off())
         self._axis.requests.process()
-        idle, end = partial(self._idle_since, self._axis.beats), self.clock.now() + self._axis.patience
+        idle = partial(self._idle_since, self._axis.beats)
+        end = no_later(self.clock.now() + self._axis.patience)
         while not self._axis.requests.wait_until(min(_AGAIN, end - self.clock.now()), idle):
             if self.clock.now() >= end:
                 raise DriverError("no heartbeat reports idle")

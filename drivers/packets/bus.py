@@ -8,6 +8,7 @@ SDK's flag for a port in use stays set; here this has no effect, because this mo
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS
@@ -20,10 +21,13 @@ from drivers.uart.adapter import Lateness
 from drivers.uart.port import GONE
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from drivers.clock import Clock
     from drivers.packets.port import SerialPort
     from drivers.packets.wire import Answer, Wire
 
+_LONGEST_DELAY, _SLACK = 508e-6, 1e-3  # s of Return Delay Time at most; s by which an adapter may bunch two requests
 _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 ms for each possible id
 
 
@@ -45,23 +49,44 @@ class Bus:
         self._reads: dict[tuple[int, int], bytes] = {}
         self.repeats = Repeats()
         self.alert = 0
-        self.return_delay = 508e-6
+        self.return_delay = _LONGEST_DELAY
 
     def ping(self, size: int) -> bytes:
         """Send a ping and return the parameters of its reply, `size` bytes."""
         return self._ask(self._wire.frame(self._id, PING, b""), size, "ping")
+
+    def beside(self, ident: int) -> Bus:
+        """Return the requests to another servo on the same line, whose return delay is not known."""
+        other = Bus(self._port, ident, self._clock, 0.0, self._wire)
+        other._late, self._quarantined = self._late, True
+        return other
+
+    def ping_each(self, idents: Iterable[int]) -> list[tuple[int, int]]:
+        """Send a ping to each id in turn. Return id and model number (0: not reported) of every servo that replies.
+
+        The replies are read together at the end, so that an adapter that holds them back costs no time. Each id takes
+        the time of both packets on the line, the longest return delay and `_SLACK`.
+        """
+        self._settle()
+        self._quarantined = True
+        received, echo = b"", False
+        for ident in idents:
+            frame = self._wire.frame(ident, PING, b"")
+            self._put(frame)
+            echo = self._port.keep_echo()
+            line = 10.0 * (len(frame) + self._wire.status_size) / self._port.baudrate
+            self._clock.sleep_until(self._clock.now() + line + _LONGEST_DELAY + _SLACK)
+            received += self._received(0.0)
+        received += self._received(self._late.silence)
+        packets = Counter(self._wire.pings(received))
+        return sorted(servo for servo, count in packets.items() if count > int(echo))
 
     def ping_all(self) -> list[tuple[int, int]]:
         """Send a broadcast ping. Return id and model number (0 if not reported) of every servo that replies."""
         self._settle()
         self._quarantined = True
         self._put(self._wire.frame(BROADCAST, PING, b""))
-        deadline = self._clock.now() + _ROLL_CALL
-        received = b""
-        while self._clock.now() < deadline:
-            self._port.expect(deadline, 0)
-            received += self._port.readPort(256)
-        return list(self._wire.pings(received))
+        return list(self._wire.pings(self._received(_ROLL_CALL)))
 
     def read(self, address: int, size: int) -> bytes:
         """Return `size` bytes of the servo's memory from `address` on."""
@@ -72,9 +97,11 @@ class Bus:
         frame = self._wire.frame(self._id, WRITE, self._wire.place(address) + data)
         self._ask(frame, 0, f"writing {int.from_bytes(data, 'little')} to {address}")
 
-    def send(self, address: int, data: bytes) -> None:
-        """Write `data` to `address` at once: wait neither for a reply nor for a silent line."""
-        self._put(self.unanswered(address, data))
+    def send(self, address: int, data: bytes, neighbours: Iterable[int] = ()) -> None:
+        """Write `data` to `address` at once, also in the servos `neighbours`: wait neither for a reply nor for a silent
+        line.
+        """
+        self._put(self.unanswered(address, data, neighbours))
 
     def write_and_read(self, address: int, data: bytes, start: int, size: int) -> bytes:
         """Write `data` to `address` and read `size` bytes from `start` on, in one round trip.
@@ -103,10 +130,22 @@ class Bus:
         """Make the next request wait until the line is silent."""
         self._quarantined = True
 
-    def unanswered(self, address: int, data: bytes) -> bytes:
-        """Return the packet that writes `data` to `address` and has no reply."""
-        head = self._wire.place(address, len(data))
-        return self._wire.frame(BROADCAST, SYNC_WRITE, head + bytes([self._id]) + data)
+    def unanswered(self, address: int, data: bytes, neighbours: Iterable[int] = ()) -> bytes:
+        """Return the packet that writes `data` to `address`, also in the servos `neighbours`, and has no reply."""
+        each = b"".join(bytes([ident]) + data for ident in (self._id, *neighbours))
+        return self._wire.frame(BROADCAST, SYNC_WRITE, self._wire.place(address, len(data)) + each)
+
+    def _received(self, seconds: float) -> bytes:
+        """Return the bytes that arrive within `seconds`. Raises LinkLost."""
+        deadline, received = self._clock.now() + seconds, b""
+        try:
+            while True:
+                self._port.expect(deadline, 0)
+                received += self._port.readPort(256)
+                if self._clock.now() >= deadline:
+                    return received
+        except GONE as error:
+            raise link_lost(self._port.port_name, error) from None
 
     def _read_frame(self, address: int, size: int) -> bytes:
         key = (address, size)

@@ -9,7 +9,7 @@ from drivers.servo import NoReply
 from drivers.settings import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from drivers.packets.bus import Bus
 
@@ -51,10 +51,10 @@ class ControlTable:
         register = self.registers[name]
         return register.decoded(self._bus.read(register.address, register.size))
 
-    def unanswered(self, name: str, value: int) -> bytes:
-        """Return the packet that writes a register and has no reply."""
+    def unanswered(self, name: str, value: int, neighbours: Iterable[int] = ()) -> bytes:
+        """Return the packet that writes a register, also in the servos `neighbours`, and has no reply."""
         register = self.registers[name]
-        return self._bus.unanswered(register.address, register.encoded(value))
+        return self._bus.unanswered(register.address, register.encoded(value), neighbours)
 
     def put(self, name: str, value: int) -> None:
         """Write `value`, in counts, to the register `name`."""

@@ -18,14 +18,20 @@ begin none.
 
 
 def off_path(
-    port: SerialPort, table: ControlTable, off: Iterable[str], zero_after: Iterable[str] = (), kept: Iterable[str] = ()
+    port: SerialPort,
+    table: ControlTable,
+    off: Iterable[str],
+    *,
+    zero_after: Iterable[str] = (),
+    kept: Iterable[str] = (),
+    neighbours: Iterable[int] = (),
 ) -> OffPath:
     """Return the packets that switch the torque off and that restore the settings, for another process to send.
 
     off: registers to which zero is written to switch the torque off. zero_after: registers to which zero is written
-    afterwards. kept: registers that are not restored.
+    afterwards. kept: registers that are not restored. neighbours: ids of servos whose torque is switched off too.
     """
-    packets = tuple(table.unanswered(name, 0) for name in off)
+    packets = tuple(table.unanswered(name, 0, neighbours if name == "torque_enable" else ()) for name in off)
     kept = frozenset(kept)
     settings = [(name, value) for name, value in table.settings.changed() if name not in kept]
     return OffPath(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from dynamixel_sdk import PortHandler
 
+from drivers.clock import no_later
 from drivers.uart.adapter import Echo
 from drivers.uart.port import GONE, POLL, open_port
 
@@ -56,7 +57,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
 
     def expect(self, deadline: float, size: int) -> None:
         """Prepare to read a reply of `size` bytes. deadline: s on the clock."""
-        self._deadline = deadline
+        self._deadline = no_later(deadline)
         self._budget = BUDGET
         self._whole = size
         self._ahead.clear()
@@ -65,6 +66,11 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         """Send `packet` and return how many of its bytes were accepted."""
         self._echo.sent(packet)
         return self.ser.write(packet) or 0
+
+    def keep_echo(self) -> bool:
+        """Return also the sent bytes from `readPort`, until the next request. Return whether the line returns any."""
+        self._echo.sent(b"")
+        return self._echo.returns
 
     def readPort(self, length: int) -> bytes:  # noqa: N802 - the SDK's name
         """Return up to `length` bytes. Waits for them no longer than `POLL`, and not after the deadline.
@@ -93,7 +99,7 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         `PATIENCE` s.
         """
         self._echo.sent(b"")
-        end = self._clock.now() + PATIENCE
+        end = no_later(self._clock.now() + PATIENCE)
         quiet_since = self._clock.now()
         while self._clock.now() < end:
             self.expect(self._clock.now() + POLL, 0)

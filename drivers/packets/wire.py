@@ -98,6 +98,10 @@ class Wire1:
 
     def pings(self, received: bytes) -> Iterator[tuple[int, int]]:
         """See `Wire`; the model number is always 0."""
-        for part in received.split(b"\xff\xff")[1:]:
-            if len(part) == 4 and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF:
+        start = 0
+        while (start := received.find(b"\xff\xff", start)) >= 0:
+            part = received[start + 2 : start + 6]
+            whole = len(part) == 4 and part[0] <= BROADCAST and part[1] == 2 and part[3] == ~sum(part[:3]) & 0xFF
+            if whole:
                 yield part[0], 0
+            start += 6 if whole else 1  # a checksum of 0xFF looks like the beginning of a header

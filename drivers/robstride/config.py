@@ -50,6 +50,11 @@ class RobstrideConfig:
             raise ValueError(f"robstride.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
         if self.host_id in {self.id, BROADCAST}:
             raise ValueError(f"robstride.host_id {self.host_id} is the motor's id or the broadcast's: choose another")
+        if self.watchdog and not models()[self.model].watchdog:
+            raise ValueError(
+                f"a {self.model} has no watchdog (canTimeout): its torque stays on if the computer stops; "
+                "set robstride.watchdog = 0"
+            )
         check_watchdog("robstride", self.watchdog, self.reply_timeout)
 
     @property

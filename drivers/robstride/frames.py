@@ -40,6 +40,7 @@ class RobstrideModel:
     velocity: float
     torque: float
     torque_uncertainty: float
+    watchdog: bool = True
 
 
 @dataclass(frozen=True, slots=True)

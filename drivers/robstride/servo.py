@@ -49,6 +49,7 @@ class RobstrideServo:
             _QUANTITIES,
             torque_off=self._torque_off,
             release=self._link.close,
+            clock=self.clock,
             repeats=self._motor.requests.repeats,
         )
         with self._gate.opening(self._motor.send_stop):

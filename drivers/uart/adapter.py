@@ -68,6 +68,11 @@ class Echo:
         self._sent, self._held = b"", b""
 
     @property
+    def returns(self) -> bool:
+        """Return whether the line returns sent bytes, as far as is known."""
+        return bool(self._returns)
+
+    @property
     def due(self) -> int:
         """The number of sent bytes that the line has not returned yet."""
         return max(0, len(self._sent) - len(self._held)) if self._returns else 0

@@ -120,16 +120,32 @@ def scatter(rules: Rules, population: Population) -> None:
 def scatter_around(rules: Rules, start: Start, population: Population) -> None:
     """Replace every chromosome by a random one, drawn uniformly in a cube around the start and limited to the bounds.
 
-    start: the centre and the size of the cube.
+    start: the centre and the size of the cube. A chromosome outside the bounds is drawn again, REDRAWS times at most.
     """
-    for child in population.genes:
-        for _ in range(REDRAWS):
-            place = start.reach * (2.0 * uniforms(population.generator, child.size) - 1.0)
-            for k in range(child.size):
-                child[k] = start.centre[k] + float(np.cumsum(start.backward[k, k:] * place[k:])[-1])
-            if ((rules.low <= child) & (child <= rules.high)).all():
-                break
-        np.clip(child, rules.low, rules.high, out=child)
+    genes, p, inside, draws = population.genes, start.centre.size, 0, 0
+    while inside < len(genes):
+        before, left = population.generator.copy(), genes[inside:]
+        left[:] = _in_cube(start, uniforms(population.generator, left.size).reshape(left.shape))
+        outside = np.flatnonzero(~((rules.low <= left) & (left <= rules.high)).all(axis=1))
+        if not outside.size:
+            break
+        first = int(outside[0])
+        population.generator[:] = before  # goes back to where the first chromosome outside was drawn
+        uniforms(population.generator, (first + 1) * p)
+        inside, draws = inside + first, 1 if first else draws + 1
+        if draws == REDRAWS:
+            inside, draws = inside + 1, 0
+    np.clip(genes, rules.low, rules.high, out=genes)
+
+
+def _in_cube(start: Start, parts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the chromosomes (m, p) at parts (m, p), from 0 to 1, of the cube's edges."""
+    place = start.reach * (2.0 * parts - 1.0)
+    genes = np.zeros_like(place)
+    for k in range(place.shape[1]):
+        for j in range(k, place.shape[1]):
+            genes[:, k] += start.backward[k, j] * place[:, j]
+    return np.asarray(start.centre + genes)
 
 
 @compiled_within

@@ -17,23 +17,20 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ga.compiled import compiled_no_refcount, compiled_within
-from ga.samples import check, resolution
+from ga.samples import LANES, check, in_lanes, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ga.start import Start
 
-LANES = 128
-"""The number of samples in a block, which is the number of partial sums."""
-
 ROUNDING = 1e-11
 """The amount by which a lower bound must exceed a limit, relative to its terms: a thousand times the rounding error of
 both.
 """
 
-_AT_ONCE = LANES << 12
-"""The number of rows that are collapsed at a time: the working space for them is some tens of MB."""
+_AT_ONCE = LANES << 6
+"""The number of rows that are collapsed at a time: their working space stays in the processor's cache."""
 
 WIDER = 1.5
 """The ratio of the width of the collapsed cube to that of the cube in which the search begins: children overshoot their
@@ -71,7 +68,7 @@ def pack(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> Samples:
     check(columns, torque)
     p = columns.shape[1]
     return Samples(
-        blocks=_blocks(columns, torque),
+        blocks=_blocks(torque, *columns.T),
         length=len(torque),
         floor=resolution(torque),
         scratch=np.empty((2, LANES)),
@@ -93,22 +90,22 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
     """
     check(columns, torque)
     p, reach = columns.shape[1], WIDER * start.reach
-    blocks, settled = [], np.zeros(p + 1)
+    opened, settled = [], np.zeros((p + 1, LANES))
     for begin in range(0, len(torque), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
-        residual, is_open = _opened(columns[part], torque[part], start, reach)
-        blocks.append((columns[part][is_open], residual[is_open]))
-        sign = np.where(is_open, 0.0, np.where(residual >= 0.0, 1.0, -1.0))
-        sums = _in_lanes(sign * np.vstack([residual, columns[part].T])).cumsum(axis=2)[:, :, -1]
-        settled = np.hstack([settled[:, None], sums]).cumsum(axis=1)[:, -1].copy()
+        rows = in_lanes(torque[part], *columns[part].T)
+        is_open = _opened(rows, start, reach)
+        settled += (np.where(is_open, 0.0, np.where(rows[0] >= 0.0, 1.0, -1.0)) * rows).sum(axis=1)
+        is_open.flat[len(torque) - begin :] = False  # what fills the lanes up
+        opened.append(rows[:, is_open])
     return Samples(
-        blocks=_blocks(np.vstack([one for one, _ in blocks]), np.hstack([one for _, one in blocks])),
+        blocks=_blocks(*np.hstack(opened)),
         length=len(torque),
         floor=resolution(torque),
         scratch=np.empty((2, LANES)),
         place=np.empty(p),
         origin=_as_compiled(start.centre),
-        settled=settled,
+        settled=settled.cumsum(axis=1)[:, -1].copy(),
         forward=_as_compiled(start.forward),
         reach=reach,
         columns=_as_compiled(columns),
@@ -123,33 +120,25 @@ def _as_compiled(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.require(values, np.float64, ["C", "W"])
 
 
-def _opened(
-    columns: NDArray[np.float64], torque: NDArray[np.float64], start: Start, reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the residuals (n,) at the start, N m, and which of them may change sign within the cube. reach: half the
-    cube's width, N m.
+def _opened(rows: NDArray[np.float64], start: Start, reach: float) -> NDArray[np.bool_]:
+    """Return which of the rows (p + 1, m, 128) of torque and columns may change sign within the cube, and put their
+    residuals at the start, N m, in the place of the torque. reach: half the cube's width, N m.
     """
-    residual, speed = torque.copy(), np.zeros(len(torque))
-    for k in range(columns.shape[1]):
-        residual -= columns[:, k] * start.centre[k]
-        along = np.zeros(len(torque))
-        for j in range(k + 1):
-            along += columns[:, j] * start.backward[j, k]
-        speed += np.abs(along)
-    return residual, np.abs(residual) <= reach * speed * (1.0 + 1e-9)
+    residual, *columns = rows
+    speed = np.zeros_like(residual)
+    for k, column in enumerate(columns):
+        residual -= column * start.centre[k]
+        along = columns[0] * start.backward[0, k]
+        for j in range(1, k + 1):
+            along += columns[j] * start.backward[j, k]
+        speed += np.abs(along, out=along)
+    speed *= reach * (1.0 + 1e-9)
+    return np.asarray(np.abs(residual) <= speed)
 
 
-def _blocks(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return columns (m, p) and torque (m,) as the field `blocks` of `Samples`."""
-    return np.ascontiguousarray(_in_lanes(np.vstack([torque, columns.T])).transpose(1, 0, 2))
-
-
-def _in_lanes(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rows (k, m) cut into lanes, (k, ceil(m/128), 128), filled up with zeros."""
-    k, m = rows.shape
-    padded = np.zeros((k, -(-m // LANES) * LANES))
-    padded[:, :m] = rows
-    return padded.reshape(k, -1, LANES)
+def _blocks(*rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return torque and columns, (m,) each, as the field `blocks` of `Samples`."""
+    return np.ascontiguousarray(in_lanes(*rows).transpose(1, 0, 2))
 
 
 def shared(samples: Samples) -> Samples:

@@ -45,7 +45,8 @@ class CouplingModel:
     name: the model's name with the terms in the order of the table, such as "linear+offset+coulomb+skew". origin: the
     time at which the drift is zero, s. middle: the time after the origin, s, at which a drifting stiffness equals Kc.
     slowest: the rate, rad/s, below which friction may hold the joint. smoothing: v_s of friction, rad/s. Each call
-    derives the values that are None from its own data.
+    derives the values that are None from its own data. at_edge: whether the flanks of a gap part at its edge; False: as
+    soon as they would pull; None: each fit decides.
     """
 
     name: str
@@ -53,10 +54,11 @@ class CouplingModel:
     middle: float | None = None
     slowest: float | None = None
     smoothing: float | None = None
+    at_edge: bool | None = None
 
     def __reduce__(self) -> tuple[type[CouplingModel], tuple[str | float | None, ...]]:
         """Return the instructions for pickling: the model's name, because the model's terms contain lambdas."""
-        return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing)
+        return CouplingModel, (self.name, self.origin, self.middle, self.slowest, self.smoothing, self.at_edge)
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
@@ -91,7 +93,20 @@ class CouplingModel:
     @property
     def needs_ratio(self) -> bool:
         """Return whether the columns depend on Bc/Kc: the sign of the torque decides on contact or friction."""
-        return any(term.contact is not None or term.load is not None for term in self.terms)
+        return self._is_loaded or (self._has_flanks and not self.at_edge)
+
+    @property
+    def chooses_edge(self) -> bool:
+        """Return whether a fit decides where the flanks of a gap part: both ways are tried."""
+        return self._has_flanks and not self._is_loaded and self.at_edge is None
+
+    @cached_property
+    def _has_flanks(self) -> bool:
+        return any(term.contact is not None for term in self.terms)
+
+    @cached_property
+    def _is_loaded(self) -> bool:
+        return any(term.load is not None for term in self.terms)
 
     @cached_property
     def bends(self) -> tuple[bool, ...]:
@@ -131,7 +146,7 @@ class CouplingModel:
             return np.ones(len(motion), dtype=bool)
         least_rate = slowest(motion) if self.slowest is None else self.slowest
         delays = any(term.delays for term in self.terms)
-        beside = BESIDE * float(np.median(np.diff(motion.time))) if delays and len(motion) > 1 else 0.0
+        beside = BESIDE * motion.step if delays and len(motion) > 1 else 0.0
         rates = [motion.delayed(delay + shift).dtheta_dot for shift in (-beside, 0.0, beside)]
         least, most = np.min(rates, axis=0), np.max(rates, axis=0)
         held = (least < least_rate) & (most > -least_rate)
@@ -344,6 +359,11 @@ class CouplingModel:
         """Return the columns (n, p) of all terms; with `changing`, their time derivatives."""
         columns = seen.columns(self._present(nonlinear), changing)
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
+
+
+def lag_of(stiffness: float, damping: float) -> float:
+    """Return Bc/Kc, s; 0 if one of them is not positive."""
+    return max(0.0, damping / stiffness) if stiffness > 0.0 else 0.0
 
 
 def parse(name: str) -> CouplingModel:

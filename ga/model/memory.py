@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 _FORGOTTEN: Final = 1e-6
 """The fraction of a state below which the state has no effect any more."""
 
-
 _SAME: Final = 1e-9
 """The fraction of the time between two samples below which a time has only an effect in proportion to it."""
 

@@ -97,6 +97,13 @@ def searched(name: str, unit: str, meaning: str, kind: Kind = "", **properties: 
     return Parameter(name, unit, meaning, kind, scales=False, nonlinear=True, **properties)
 
 
+STRENGTH: Final[Mapping[str, Any]] = {"presence": True, "positive": True}
+"""The properties of a parameter that is the strength of an effect, as keywords."""
+
+SCALE: Final[Mapping[str, Any]] = {"absent": None, "positive": True}
+"""Those of a time, a rate or a deflection over which an effect changes."""
+
+
 def positive_among(parameters: Iterable[Parameter]) -> tuple[int, ...]:
     """Return the indices of the parameters that cannot be negative."""
     return tuple(at for at, parameter in enumerate(parameters) if parameter.positive)
@@ -163,6 +170,8 @@ class Term:
     meaning: text for the help. role: the kind of effect.
     equation: the torque that the term adds, in the deflection x, its rate v and the time t; after a comma, where its
       other symbols come from. For a term without columns, what it changes.
+    example: the parameters, in SI or as parts of the stroke or of the spring's torque, on a joint with the example of
+      `linear`: of the size that a person would call small, plain and large.
     columns: functions that return (n,), N m per unit of each linear parameter, in order.
     rates: functions that return the time derivatives of the columns, per second, for the motion's time derivative
       (second argument); None: of one column that depends on the deflection alone, or not on the motion.
@@ -238,6 +247,7 @@ class Term:
     mark: Mark | None = None
     selection: Literal["smallest", "considered", "motor torque", "misfit", "named"] = "misfit"
     equation: str = ""
+    example: str = ""
 
     @property
     def linear(self) -> bool:

@@ -77,7 +77,7 @@ class Seen:
         own = replace(own, own=values) if len(values) else own  # thousands of times in a selection
         moved = own.key if term.uses_deflection else own.key[0]
         key = (term.name, term.columns, values.tobytes(), bends, moved) if changing is None else None
-        known = None if key is None else own.motion.recalled(key)
+        known = None if key is None else own.motion.kept.recalled("columns", key)
         if known is not None:
             return _Asked(own.motion, None, known, beyond=beyond, filtered=False)
         columns = _computed(term, own, None if changing is None else changing[beyond])

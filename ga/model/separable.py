@@ -11,12 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
+from operator import attrgetter
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from ga.lad.exact import Optimum, not_negative
+from ga.model.coupling import lag_of
 from ga.model.record import positive_among
 from ga.samples import resolution
 
@@ -43,17 +45,15 @@ _AGREED: the precision of Bc/Kc at which contact and fit agree.
 """
 
 _ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
-
 _STARTS: Final = 300
 _STEPS: Final = 20
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
+_NEARLY: Final = 1e-5
 """_STARTS, _STEPS: the largest numbers of starting values, and of steps of a descent. _HALVINGS: how often a step is
 shortened. _CONVERGED: a descent ends when a step gains less than this fraction of the fitness, or is shorter than this
-fraction of the bounds' width.
+fraction of the bounds' width. _NEARLY: the same for a minimum that is a starting point, or rough.
 """
-
-_NEARLY: Final = 1e-5  # the same for a minimum that is a starting point, or rough
 
 _FIRST: Final = 8e-3
 _FINE: Final = 1e-3
@@ -61,6 +61,7 @@ _FINE: Final = 1e-3
 the steps shrink faster; _NEARLY is the last one.
 """
 
+_fitness: Final = attrgetter("fitness")
 _FEW_STEPS: Final = 8  # of a compass, after which their common direction is known
 
 
@@ -73,6 +74,8 @@ class SeparableModel(Protocol):
     def nonlinear(self) -> tuple[Parameter, ...]: ...  # noqa: D102
     @property
     def needs_ratio(self) -> bool: ...  # noqa: D102
+    @property
+    def chooses_edge(self) -> bool: ...  # noqa: D102
     def columns(self, motion: Motion, nonlinear: Array | None = None, lag: float = 0.0) -> Array: ...  # noqa: D102
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array: ...  # noqa: D102
     def jacobian(  # noqa: D102
@@ -84,7 +87,7 @@ class SeparableModel(Protocol):
 class Fit:
     """A local minimum: nonlinear parameters (q,), and genes (p,): the linear parameters that are optimal for these.
 
-    lag: Bc/Kc of these genes, s, if the model has surfaces that can only push, else 0.
+    lag: Bc/Kc of these genes, s, if the model has surfaces that can only push; 0 if they part at the gap's edge.
     """
 
     nonlinear: Array
@@ -133,8 +136,8 @@ class Problem:
         """Return the exact minimum for nonlinear parameters (q,); genes that cannot be negative are constrained.
 
         near: the fit for similar values, from which the solver starts. If contact depends on Bc/Kc, which the minimum
-        determines, both are recomputed until they agree, at most `agreements` times. Raises RuntimeError if no optimum
-        can be proven.
+        determines, both are recomputed until they agree, at most `agreements` times; the fit whose surfaces part at the
+        gap's edge is returned if it is better. Raises RuntimeError if no optimum can be proven.
         """
         return self._solved(nonlinear, near, agreements).fit
 
@@ -144,18 +147,21 @@ class Problem:
         if not self.model.linear:
             optimum = Optimum(np.empty(0), float(np.mean(np.abs(target))), 0.0, True, resolution(self.torque))
             return _Solved(Fit(nonlinear, optimum), self.model.columns(self.motion, nonlinear, 0.0), target)
-        genes = near.optimum.genes if near else None
-        columns = self.model.columns(self.motion, nonlinear, lag)
-        best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
+        best = self._parting(nonlinear, target, lag, near)
+        at_edge = [self._parting(nonlinear, target, 0.0, near)] if agreements and self.model.chooses_edge else []
         for _ in range(agreements if self.model.needs_ratio else 0):
-            genes = best.optimum.genes
-            next_lag = max(0.0, genes[1] / genes[0]) if genes[0] > 0.0 else 0.0
+            next_lag = lag_of(*best.fit.optimum.genes[:2].tolist())
             if abs(next_lag - lag) <= _AGREED * lag:
                 break
             lag = next_lag
-            columns = self.model.columns(self.motion, nonlinear, lag)
-            best = Fit(nonlinear, not_negative(columns, target, self.positive, genes), lag)
-        return _Solved(best, columns, target)
+            best = self._parting(nonlinear, target, lag, best.fit)
+        return min([best, *at_edge], key=lambda solved: solved.fit.fitness)
+
+    def _parting(self, nonlinear: Array, target: Array, lag: float, near: Fit | None) -> _Solved:
+        """Return the minimum for surfaces that part as Bc/Kc = `lag`, s, has it."""
+        columns = self.model.columns(self.motion, nonlinear, lag)
+        optimum = not_negative(columns, target, self.positive, near.optimum.genes if near else None)
+        return _Solved(Fit(nonlinear, optimum, lag), columns, target)
 
     def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
         """Return the problem on the samples `rows` only."""
@@ -195,9 +201,8 @@ def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> F
 
     Raises RuntimeError if no optimum can be proven.
     """
-    if not problem.low.size:
-        return problem.solve(problem.low)
-    return local_minimum(problem, best_start(problem.sketched(), near).nonlinear, near)
+    start = best_start(problem.sketched(), near).nonlinear if problem.low.size else problem.low
+    return local_minimum(problem, start, near)
 
 
 def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
@@ -218,8 +223,7 @@ def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] =
     for nonlinear in _contained(problem, found, near):
         seen = solve_or_none(problem, nonlinear, found)
         if seen is not None and seen.fitness < found.fitness:
-            better = compass_search(problem, descend(problem, nonlinear))
-            found = min(found, better, key=lambda fit: fit.fitness)
+            found = min(found, compass_search(problem, descend(problem, nonlinear)), key=_fitness)
     return found
 
 
@@ -268,36 +272,24 @@ def _other_starts(problem: Problem, first: Fit, best: Fit, starts: list[Fit]) ->
     the bounds.
 
     first and best: the fits at the beginning and at the end of that descent. Starts with equal fits, such as those of a
-    zero gap wherever its middle is, are treated as one start. A delay and a damping can replace each other to second
-    order, one of them negative: if a descent ends at a bound, the optimum may be reached from a start that is at no
-    bound.
+    zero gap wherever its middle is, are treated as one start. A delay and a damping can replace each other, one of them
+    negative: if a descent ends at a bound, the optimum may be reached from a start that is at no bound.
     """
     if problem.model.needs_ratio:  # with the ratio at the end
         first = problem.solve(first.nonlinear, best)
     is_stuck = best.fitness > _ALIKE * first.fitness
     others = [one for one in starts if _ALIKE * one.fitness > starts[0].fitness][:1] if is_stuck else []
-    inside = [one for one in starts[1:] if _is_inside(problem, one)]
-    return others if _is_inside(problem, best) or inside[:1] == others else others + inside[:1]
-
-
-def _is_inside(problem: Problem, found: Fit) -> bool:
-    """Return whether no linear parameter of the fit `found` is at its bound."""
-    return all(found.optimum.genes[at] > 0.0 for at in problem.positive)
-
-
-def _fitness(found: Fit) -> float:
-    return found.fitness
+    best_inside, *inside = (all(one.optimum.genes[at] > 0.0 for at in problem.positive) for one in (best, *starts[1:]))
+    next_inside = [one for one, is_inside in zip(starts[1:], inside, strict=True) if is_inside][:1]
+    return others if best_inside or next_inside == others else others + next_inside
 
 
 def solve_or_none(problem: Problem, nonlinear: Array, near: Fit | None) -> Fit | None:
-    """Return the minimum for nonlinear parameters (q,); None if the columns are nearly collinear.
-
-    near: a fit whose contact of surfaces is used, if given; that is enough to compare local minima.
+    """Return the minimum for nonlinear parameters (q,); None if the columns are nearly collinear. near: a fit whose
+    contact of surfaces is used, if given; that is enough to compare local minima.
     """
-    try:
-        return problem.solve(nonlinear, near, agreements=0 if near else _AGREEMENTS)
-    except RuntimeError:
-        return None
+    solved = _solved_or_none(problem, nonlinear, near, 0 if near else _AGREEMENTS)
+    return None if solved is None else solved.fit
 
 
 def descend(problem: Problem, start: Array, converged: float = _CONVERGED) -> Fit:
@@ -340,13 +332,14 @@ def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
     return None
 
 
-def _solved_or_none(problem: Problem, nonlinear: Array, near: Fit) -> _Solved | None:
-    """Return the fit for nonlinear parameters (q,), together with its linear problem; None if no optimum is proven.
-
-    A step that cannot be solved is treated as no improvement, and does not end the search.
+def _solved_or_none(
+    problem: Problem, nonlinear: Array, near: Fit | None, agreements: int = _AGREEMENTS
+) -> _Solved | None:
+    """Return the fit for nonlinear parameters (q,), together with its linear problem; None if no optimum is proven: it
+    counts as no improvement, and does not end a search.
     """
     try:
-        return problem._solved(nonlinear, near)
+        return problem._solved(nonlinear, near, agreements)
     except RuntimeError:
         return None
 
@@ -384,7 +377,7 @@ def _further(problem: Problem, first: Fit, best: Fit) -> Fit:
 def _rough(problem: Problem) -> Array:
     """Return the directions of nonlinear parameters along which the fitness has many local minima, as (k, q).
 
-    They are scaled to the bounds. The two ends of a gap have separate effects, so the directions move one end each.
+    They are scaled to the bounds, and move one end of a gap each: the two ends have separate effects.
     """
     nonlinear = problem.model.nonlinear
     names = [parameter.name for parameter in nonlinear]
@@ -393,8 +386,6 @@ def _rough(problem: Problem) -> Array:
     steps = dict(zip(names, np.diag(problem.high - problem.low), strict=True))
     for width in nonlinear:
         if width.about in names:
-            half = (
-                0.5 * steps[width.name][names.index(width.name)] * (np.arange(len(names)) == names.index(width.about))
-            )
+            half = 0.5 * steps[width.name].sum() * np.eye(len(names))[names.index(width.about)]
             steps[width.name], steps[width.about] = steps[width.name] + half, steps[width.name] - half
     return np.array([steps[p.name] for p in nonlinear if p.refined]).reshape(-1, len(names))

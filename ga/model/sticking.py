@@ -32,6 +32,12 @@ FROM_REST: Final = 0.01
 Above AT_REST the joint rests; below FROM_REST the friction of these samples is negligible.
 """
 
+_UNSURE: Final = 0.005
+_UNLIKE: Final = 8.0
+"""Two windows' slopes agree if they differ by less than _UNSURE times the r.m.s. value, or _UNLIKE times the usual
+difference or noise.
+"""
+
 OFTEN: Final = 0.1
 FROM_ONE_SIDE: Final = 0.8
 """Limits above which friction at rest has the torque of a spring.
@@ -95,6 +101,18 @@ def smoothing(motion: Motion) -> float:
     return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
 
 
+def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
+    """Return the difference above which a motion is not smooth in a window, in the values' unit.
+
+    apart (n,): the differences between derivatives of the deflection in two windows. values (n,): the derivative in one
+    of them. noise: its standard deviation. Unknown values are NaN.
+    """
+    import numpy as np
+
+    usual = float(np.sqrt(np.nanmean(values**2)))
+    return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
+
+
 def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
     """Return the samples (n,) for which the computed rate has the wrong direction, because the joint reverses nearby.
 
@@ -103,8 +121,6 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
     true direction, if it is larger than noise.
     """
     import numpy as np
-
-    from ga.model.trajectory import beyond_noise
 
     whole, rows = motion.whole
     rate, near = whole.dtheta_dot, whole.dtheta_dot.copy()

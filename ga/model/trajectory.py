@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from ga.model.cache import PARTS, SMALL, columns_of, keep, kept, recalled
+from ga.model.cache import ALTERNATING, PARTS, ROOM, SMALL, Kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -49,12 +49,6 @@ _TINY: Final = 1e-300
 _AGAIN: Final = 4
 """The number of passes of the joint below which a change in time looks like a difference between directions."""
 
-_UNSURE: Final = 0.005
-_UNLIKE: Final = 8.0
-"""Two windows' slopes agree if they differ by less than _UNSURE times the r.m.s. value, or _UNLIKE times the usual
-difference or noise.
-"""
-
 _DENSE: Final = 0.25
 """The largest time between samples for interpolation, relative to the time in which the rate changes by its own
 size.
@@ -87,10 +81,7 @@ class Motion:
     rate_noise: float | None = None
     part_of: tuple[Motion, NDArray[np.int64]] | None = None
     behind: Filter | None = None
-    _late: dict[float, Motion] = field(default_factory=dict, init=False, repr=False)
-    _begun: dict[tuple[str, bytes], Beginnings] = field(default_factory=dict, init=False, repr=False)
-    _columns: dict[Hashable, tuple[Array, ...]] = field(default_factory=dict, init=False, repr=False)
-    _parts: dict[bytes, Motion] = field(default_factory=dict, init=False, repr=False)
+    kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -101,15 +92,34 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without cached functions, which cannot be pickled."""
-        state = {name: value for name, value in self.__dict__.items() if name != "_filters"}
-        return state | {name: {} for name in ("_late", "_begun", "_columns", "_parts")}
+        """Return the state for pickling, without what is kept for a thread, and without functions."""
+        return {name: value for name, value in self.__dict__.items() if name not in {"_filters", "kept"}}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        """Restore a pickled motion."""
+        self.__dict__.update(state, kept=Kept())
+
+    @property
+    def pieces(self) -> list[slice]:
+        """Return the samples of each piece; a piece of the whole motion may have no samples in a part of it."""
+        return [slice(*ends) for ends in zip(self.starts, [*self.starts[1:], len(self)], strict=True)]
+
+    def by_piece(self, law: Callable[[Array, Array], Array], values: Array) -> Array:
+        """Return law(time, values) of each piece, joined; values (n,) or (n, k)."""
+        return np.concatenate([law(self.time[piece], values[piece]) for piece in self.pieces])
+
+    def slope(self, values: Array) -> Array:
+        """Return the time derivative of values (n,), per second, by central differences."""
+        return self.by_piece(lambda time, own: np.gradient(own, time) if len(own) > 1 else np.zeros(len(own)), values)
+
+    @cached_property
+    def step(self) -> float:
+        """The usual time between two samples, s."""
+        return float(np.median(np.diff(self.time)))
 
     @property
     def passes(self) -> int:
         """Return how often the joint crossed a quarter of its range, for the quarter that it crossed most often."""
-        import numpy as np
-
         least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))
         middles = least + span * np.arange(0.125, 0.9, 0.125)
         through = [centred[np.abs(centred) > 0.125 * span] for centred in self.dtheta - middles[:, None]]
@@ -137,7 +147,7 @@ class Motion:
         chosen = np.arange(len(self))[rows]
         if len(chosen) > SMALL:
             return self._at(rows, chosen)
-        return kept(self._parts, chosen.tobytes(), lambda: self._at(rows, chosen), PARTS)
+        return self.kept.get("parts", chosen.tobytes(), lambda: self._at(rows, chosen), PARTS)
 
     def _at(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice, chosen: NDArray[np.int64]) -> Motion:
         whole, places = self.whole
@@ -148,10 +158,12 @@ class Motion:
             part_of=(whole, np.arange(len(whole))[places][rows]),
         )
 
-    def alone(self, rows: NDArray[np.int64], starts: Sequence[int]) -> Motion:
-        """Return a new motion of the samples `rows` (n,) only. starts: the first sample of each of its pieces."""
+    def alone(self, rows: NDArray[np.int64] | slice, starts: Iterable[int] = ()) -> Motion:
+        """Return a new motion of the samples `rows` (n,) only. starts: samples of it at which further pieces begin."""
         parts = {name: getattr(self, name)[rows] for name in ("time", *_PARTS)}
-        return replace(self, **parts, starts=tuple(starts), part_of=None)
+        begin = {0, *starts, *np.searchsorted(np.arange(len(self))[rows], self.starts).tolist()}
+        starts = tuple(sorted(start for start in begin if start < len(parts["time"])))
+        return replace(self, **parts, starts=starts, part_of=None)
 
     def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
         """Return `fewest` or more samples of the motion, as a part of a coarser whole motion, and their indices (k,).
@@ -168,7 +180,7 @@ class Motion:
         if every == 1 or len(chosen) < fewest or np.diff([*starts, len(kept)]).min() < _FEWEST:
             return self, np.arange(len(self))
         behind = whole.behind.of_every(every) if whole.behind else None
-        coarse = replace(whole.alone(kept, starts.tolist()), behind=behind)
+        coarse = replace(whole.alone(kept), behind=behind)
         return coarse.of(rows[chosen] // every), chosen
 
     @cached_property
@@ -176,17 +188,16 @@ class Motion:
         """Return how many times further apart the samples may be and still be dense enough to interpolate."""
         fastest = float(np.sqrt(np.mean(self.dtheta_ddot**2) / max(float(np.mean(self.dtheta_dot**2)), _TINY)))
         longest = min(_DENSE / max(fastest, _TINY), self.behind.longest_step if self.behind else np.inf)
-        return max(1, int(min(longest / float(np.median(np.diff(self.time))), len(self))))
+        return max(1, int(min(longest / self.step, len(self))))
 
     def at(self, time: Array) -> Motion:
         """Return the motion interpolated at times (m,), s, rising; times between pieces, or alone in one, are left out.
 
         The result is a part of a whole motion as dense as this one, so its delays and lags are as exact.
         """
-        inside = [time[(time >= self.time[a]) & (time <= self.time[b - 1])] for a, b in self._stretches()]
+        inside = [time[(time >= self.time[piece][0]) & (time <= self.time[piece][-1])] for piece in self.pieces]
         inside = [part if len(part) > 1 else part[:0] for part in inside]  # no curve leads through one
-        step = float(np.median(np.diff(self.time)))
-        grids = [_subdivided(part, step) for part in inside]
+        grids = [_subdivided(part, self.step) for part in inside]
         lengths = [len(grid) for grid, _ in grids if len(grid)]
         if not lengths:
             return self.of(np.empty(0, dtype=np.intp))
@@ -216,7 +227,7 @@ class Motion:
         """
         if delay == 0.0:
             return self
-        return kept(self._late, delay, lambda: self._evaluated(delay, self._curves))
+        return self.kept.get("delayed", delay, lambda: self._evaluated(delay, self._curves), ALTERNATING)
 
     def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
         """Return the signals that unknown states at the beginning of each piece can cause
@@ -226,15 +237,11 @@ class Motion:
         """
         from ga.model.memory import beginnings
 
-        return kept(self._begun, key, lambda: beginnings(left(), self.stretch))
+        return self.kept.get("beginnings", key, lambda: beginnings(left(), self.stretch), ALTERNATING)
 
-    def recalled(self, key: Hashable) -> tuple[Array, ...] | None:
-        """Return columns (n,) that were computed from this motion, if they are kept: most do not change in a search."""
-        return recalled(self._columns, key)
-
-    def keep(self, key: Hashable, columns: tuple[Array, ...]) -> tuple[Array, ...]:
+    def keep(self, key: Hashable, columns: tuple[Array, ...]) -> None:
         """Keep columns (n,) under a key, which names all that they depend on besides the motion."""
-        return keep(self._columns, key, columns, columns_of(len(self)))
+        self.kept.keep("columns", key, columns, 1 + ROOM // (len(self) + SMALL))
 
     def changing(self, delay: float) -> Motion:
         """Return the time derivative of each array of the motion, per second, `delay` seconds before each time."""
@@ -249,8 +256,7 @@ class Motion:
 
         if constant <= 0.0:
             return values
-        parts = [memory.lagged(self.time[a:b], values[a:b], constant) for a, b in self._stretches()]
-        return np.concatenate(parts)
+        return self.by_piece(lambda time, own: memory.lagged(time, own, constant), values)
 
     def averaged(self, values: Array, width: float) -> Array:
         """Return the means (n,) or (n, k) over `width` s around each time, shorter at the ends.
@@ -264,15 +270,15 @@ class Motion:
         if width <= 0.0:
             return values[places]
         parts = []
-        for first, end in whole._stretches():
-            own = places[np.searchsorted(places, first) : np.searchsorted(places, end)] - first
-            parts.append(memory.averaged(whole.time[first:end], values[first:end], width, own))
+        for piece in whole.pieces:
+            own = places[np.searchsorted(places, piece.start) : np.searchsorted(places, piece.stop)] - piece.start
+            parts.append(memory.averaged(whole.time[piece], values[piece], width, own))
         return np.concatenate(parts)
 
     def filtered(self, values: Array) -> Array:
         """Return values (n,) or (k, n) after the filter that the torque went through."""
-        parts = zip(self._stretches(), self._filters, strict=True)
-        return np.concatenate([through(values[..., a:b]) for (a, b), through in parts], axis=-1)
+        parts = zip(self.pieces, self._filters, strict=True)
+        return np.concatenate([through(values[..., piece]) for piece, through in parts], axis=-1)
 
     def presliding(self, length: float) -> Array:
         """Return Dahl's (1976) friction state (n,), -1 to 1, which builds up over `length`, rad, after a reversal."""
@@ -335,25 +341,21 @@ class Motion:
         return np.asarray(np.searchsorted(self.starts, np.arange(len(self)), side="right") - 1)
 
     def _evaluated(self, delay: float, curves: tuple[Spline, ...]) -> Motion:
-        parts = zip(self._stretches(), curves, strict=True)
-        found = np.concatenate([curve(self.time[start:stop] - delay) for (start, stop), curve in parts], axis=1)
+        parts = zip(self.pieces, curves, strict=True)
+        found = np.concatenate([curve(self.time[piece] - delay) for piece, curve in parts], axis=1)
         return replace(self, part_of=None, **dict(zip(_PARTS, found, strict=True)))
-
-    def _stretches(self) -> list[tuple[int, int]]:
-        return list(zip(self.starts, [*self.starts[1:], len(self)], strict=True))
 
     @cached_property
     def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
         """Return each piece's times, s, and rates, rad/s, with a sample at each reversal, and the original samples."""
         from ga.model.memory import with_turns
 
-        return tuple(with_turns(self.time[a:b], self.dtheta_dot[a:b]) for a, b in self._stretches())
+        return tuple(with_turns(self.time[piece], self.dtheta_dot[piece]) for piece in self.pieces)
 
     @cached_property
     def _filters(self) -> tuple[Callable[[Array], Array], ...]:
         """Return for each piece a function that passes values (n,) of the piece through the filter `behind`."""
-        stretches = self._stretches()
-        return tuple(self.behind.passing(self.time[a:b]) if self.behind else np.asarray for a, b in stretches)
+        return tuple(self.behind.passing(self.time[one]) if self.behind else np.asarray for one in self.pieces)
 
     @cached_property
     def _curves(self) -> tuple[Spline, ...]:
@@ -363,21 +365,11 @@ class Motion:
         if self.part_of is not None:
             return self.part_of[0]._curves
         values = np.stack([getattr(self, name) for name in _PARTS])
-        return tuple(Spline.through(self.time[a:b], values[:, a:b]) for a, b in self._stretches())
+        return tuple(Spline.through(self.time[piece], values[:, piece]) for piece in self.pieces)
 
     @cached_property
     def _changes(self) -> tuple[Spline, ...]:
         return tuple(curve.changing() for curve in self._curves) if self.part_of is None else self.part_of[0]._changes
-
-
-def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
-    """Return the difference above which a motion is not smooth in a window, in the values' unit.
-
-    apart (n,): the differences between derivatives of the deflection in two windows. values (n,): the derivative in one
-    of them. noise: its standard deviation. Unknown values are NaN.
-    """
-    usual = float(np.sqrt(np.nanmean(values**2)))
-    return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
 
 def joined(motions: Sequence[Motion]) -> Motion:

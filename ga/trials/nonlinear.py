@@ -20,7 +20,6 @@ import numpy as np
 from ga.bounds import Bounds
 from ga.evolution.ask_tell import Search
 from ga.evolution.evolution import Settings
-from ga.model.polishing import polished
 from ga.model.separable import (
     FEW,
     Fit,
@@ -105,7 +104,7 @@ def _polish(finished: list[_Trial], problem: Problem) -> None:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
         found = [compass_search(problem, best.fit)] if best.fit else []
         found += [fit(problem)] if problem.model.linear else []
-        best.fit = polished(problem, at_least_contained(problem, min(found, key=lambda one: one.fitness)))
+        best.fit = at_least_contained(problem, min(found, key=lambda one: one.fitness))
 
 
 def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:

@@ -64,8 +64,11 @@ class _Run:
 
 @dataclass(eq=False)
 class _Trial:
-    """One search and its history. kept: a copy of both at the end of a chunk of work, which is always complete."""
+    """One search and its history. first: the genes of its first population. kept: a copy of search and history at the
+    end of a chunk of work, which is always complete.
+    """
 
+    first: NDArray[np.float64]
     population: Population
     record: NDArray[np.float64]
     kept: tuple[Population, NDArray[np.float64]]
@@ -115,7 +118,8 @@ def run_trials(
         belonging(columns, torque, bounds=bounds, settings=settings, seed=seed, trials=trials) if checkpoint else {}
     )
     state = load(checkpoint, belongs) if checkpoint and checkpoint.exists() else None
-    running = _begun(run, engine, start, seed, trials) if state is None else _resumed(state)
+    first = partial(begin, engine, bounds, settings, seed, start=start)
+    running = _begun(run, first, trials) if state is None else _resumed(first, state)
     before = 0 if state is None else sum(trial.population.evaluations for trial in running)
 
     def keep() -> None:
@@ -132,8 +136,7 @@ def run_trials(
             raise
     finally:
         keep()
-    again = partial(begin, engine, bounds, settings, seed, start=start)
-    return _outcome(running, run.grid, before, time.process_time() - began, again)
+    return _outcome(running, run.grid, before, time.process_time() - began)
 
 
 def duration(
@@ -176,21 +179,20 @@ def _expected(settings: Settings, p: int) -> int:
     return 5 * p * min(settings.generations, settings.generations if settings.tolerance is None else _TYPICAL)
 
 
-def _begun(run: _Run, engine: Engine, start: Start | None, seed: int, trials: int) -> list[_Trial]:
-    """Return the trials with their first populations, evaluated by the engine."""
+def _begun(run: _Run, first: Callable[[int], Population], trials: int) -> list[_Trial]:
+    """Return the trials with their first populations, evaluated. first: returns that of a trial."""
     running = []
     for i in range(trials):
-        population = begin(engine, run.bounds, run.settings, seed, i, start=start)
-        record = np.full(len(run.grid), np.nan)
+        population, record = first(i), np.full(len(run.grid), np.nan)
         record[0] = population.best_fitness[0]
-        running.append(_Trial(population, record, (population.copied(), record.copy())))
+        running.append(_Trial(population.genes.copy(), population, record, (population.copied(), record.copy())))
     return running
 
 
-def _resumed(state: SearchState) -> list[_Trial]:
+def _resumed(first: Callable[[int], Population], state: SearchState) -> list[_Trial]:
     return [
-        _Trial(population, record, (population.copied(), record.copy()))
-        for population, record in zip(state.populations, state.records, strict=True)
+        _Trial(first(i).genes, population, record, (population.copied(), record.copy()))
+        for i, (population, record) in enumerate(zip(state.populations, state.records, strict=True))
     ]
 
 
@@ -291,24 +293,18 @@ class _Watch:
             self.progress(sum(parts) / len(parts))
 
 
-def _outcome(
-    running: list[_Trial],
-    grid: NDArray[np.int64],
-    before: int,
-    seconds: float,
-    again: Callable[[int], Population],
-) -> Trials:
+def _outcome(running: list[_Trial], grid: NDArray[np.int64], before: int, seconds: float) -> Trials:
     """Return the best chromosomes, the fitness and the history of the trials `running`, and the work of this run.
 
     grid: the generations at which the history has a point. before: the number of evaluations before this run. seconds:
-    its processor time. again: a function that returns the first population of a trial, because the search has
-    overwritten it.
+    its processor time.
     """
     generations = np.array([t.population.generation for t in running], dtype=np.int64)
     fitness = np.array([t.population.best_fitness[0] for t in running])
     last = int(np.searchsorted(grid, generations.max())) + 1
     record = np.stack([t.record[:last] for t in running])
     evaluations = sum(t.population.evaluations for t in running)
+    best = running[int(fitness.argmin())]
     return Trials(
         genes=np.stack([t.population.best for t in running]),
         fitness=fitness,
@@ -321,5 +317,5 @@ def _outcome(
         finished=np.array([t.finished for t in running]),
         made=evaluations - before,
         processor_seconds=seconds,
-        populations=Populations(again(int(fitness.argmin())).genes, running[int(fitness.argmin())].population.genes),
+        populations=Populations(best.first, best.population.genes),
     )

@@ -2,8 +2,9 @@
 
 A drive that was not tested within 30 days, or was tested with another firmware or watchdog, gets half of its stand's
 torque limit. A drive that did not release its torque in a test is refused until it passes a later test, unless the
-stand file accepts such a drive. This is kept in two places, each of which refuses the drive: the user's state folder
-and the stand file, which other users and computers read too.
+stand file accepts such a drive. A test of an emulator, on a pty or a virtual bus, counts there only. This is kept in
+two places, each of which refuses the drive: the user's state folder and the stand file, which other users and computers
+read too.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.servo import Quantity, ServoInfo
-from hil.acquisition.drive_memory import StoredFacts, file_name
+from hil.acquisition.drive_memory import StoredFacts, emulation_of, file_name
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
-from hil.stand.edit import update
+from hil.hand.edit import update
 from hil.stand.file import Stand
 
 DAYS = 30.0
@@ -70,11 +71,11 @@ class Commissioning:
         """
         passed = self.releases and self.stops_ours
         keeps = not self.releases or (not passed and _kept_torque(stand, info, mode))
-        name = _name_in_stand(info, mode)
-        memory = StoredFacts.of_drive("commissioning", info, mode)
+        name = _name_in_stand(stand, info, mode)
+        memory = StoredFacts.of_drive("commissioning", stand, info, mode)
         try:
             if stand.path is not None and keeps != stand.keeps_torque.get(name, False):
-                update(stand.path, {"keeps_torque": {name: keeps}})
+                update(stand.path, {"keeps_torque": {name: keeps}}, stand.joint)
         except (OSError, WrongUse) as error:
             raise WrongUse(
                 f"{stand.path} cannot note under [keeps_torque] whether its drive keeps its torque ({error}), so that "
@@ -85,9 +86,9 @@ class Commissioning:
         return memory.path
 
 
-def _name_in_stand(info: ServoInfo, mode: Quantity) -> str:
+def _name_in_stand(stand: Stand, info: ServoInfo, mode: Quantity) -> str:
     """Return the drive's key in [keeps_torque]. A drive without a serial number counts as the only one of the stand."""
-    return file_name(info.backend, "" if info.serial_is_id else info.serial, mode)
+    return file_name(info.backend, "" if info.serial_is_id else info.serial, mode, *emulation_of(stand))
 
 
 def _kept_torque(stand: Stand, info: ServoInfo, mode: Quantity) -> bool:
@@ -96,10 +97,10 @@ def _kept_torque(stand: Stand, info: ServoInfo, mode: Quantity) -> bool:
     A failed test counts however old it is, and after any change of the drive's settings. A file that cannot be read
     counts as a failed test.
     """
-    if stand.keeps_torque.get(_name_in_stand(info, mode), False):
+    if stand.keeps_torque.get(_name_in_stand(stand, info, mode), False):
         return True
     try:
-        memory = StoredFacts.of_drive("commissioning", info, mode)
+        memory = StoredFacts.of_drive("commissioning", stand, info, mode)
     except WrongUse:  # a user without a home has never stored a test
         return False
     try:
@@ -118,12 +119,12 @@ def identity(info: ServoInfo) -> str:
     return f"{named} (it reports no serial number, so another drive with these counts as the same)"
 
 
-def last_outcome(info: ServoInfo, mode: Quantity) -> Commissioning | None:
+def last_outcome(stand: Stand, info: ServoInfo, mode: Quantity) -> Commissioning | None:
     """Return the drive's stored result if it is valid today. Return None if there is no result, or its file is
     unusable.
     """
     with suppress(OSError, ValueError, WrongUse):
-        found = _valid_today(StoredFacts.of_drive("commissioning", info, mode).load() or {})
+        found = _valid_today(StoredFacts.of_drive("commissioning", stand, info, mode).load() or {})
         if found is not None and (found.firmware, found.watchdog) == (info.firmware, info.watchdog):
             return found
     return None
@@ -155,7 +156,9 @@ def require_agreement(stand: Stand, mode: Quantity, motion: str, agree: Agree | 
         return
     memory = None
     with suppress(WrongUse, OSError):  # without a folder for it, nothing is kept and every run asks
-        memory = StoredFacts("agreed", str(stand.stand.backend), sha256(stand.text.encode()).hexdigest())
+        memory = StoredFacts(
+            "agreed", str(stand.stand.backend), sha256(repr((stand.text, *emulation_of(stand))).encode()).hexdigest()
+        )
         if memory.path.exists() or _is_commissioned(memory.path.parents[1], _drive_of(stand, mode)):
             return
     agree(f"{announcement(stand, motion)} hil asks this once for each stand file.")
@@ -178,7 +181,7 @@ def announcement(stand: Stand, motion: str) -> str:
 def _drive_of(stand: Stand, mode: Quantity) -> str:
     """Return a hash of what the stand file says of its drive: the same in all stand files with this drive and mode."""
     backend = str(stand.stand.backend)
-    return sha256(repr((backend, stand.devices.get(backend), str(mode))).encode()).hexdigest()
+    return sha256(repr((backend, stand.devices.get(backend), str(mode), *emulation_of(stand))).encode()).hexdigest()
 
 
 def _is_commissioned(state: Path, drive: str) -> bool:
@@ -201,7 +204,7 @@ def permitted(stand: Stand, info: ServoInfo, profile: Profile) -> tuple[Stand, l
     if info.backend in NOTHING_TURNS or stand.stand.backend in NOTHING_TURNS:
         return stand, []
     require_release(stand, info, profile.mode)
-    found = last_outcome(info, profile.mode)
+    found = last_outcome(stand, info, profile.mode)
     if found is not None and found.stops_ours:
         return stand, []
     half = SHARE * stand.checked_limits().torque

@@ -9,10 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
+from drivers.ports import emulation
 from drivers.servo import ServoInfo
 from hil.errors import WrongUse
 from hil.recording.input import read_text
 from hil.recording.output import atomic_write
+from hil.stand.file import Stand
 
 _LARGEST = 4096  # bytes of a file
 
@@ -28,9 +30,11 @@ class StoredFacts:
         self.path = _state_folder() / "hil" / kind / f"{file_name(*words)}.json"
 
     @classmethod
-    def of_drive(cls, kind: str, info: ServoInfo, *also: str) -> Self:
-        """Return the file of facts about the drive `info`. also: words that distinguish several files of this drive."""
-        return cls(kind, info.backend, info.model, info.serial, *also)
+    def of_drive(cls, kind: str, stand: Stand, info: ServoInfo, *also: str) -> Self:
+        """Return the file of facts about the drive `info` of `stand`. also: words that distinguish several files of
+        this drive. What an emulator shows does not count for a real drive with its model and id, nor the reverse.
+        """
+        return cls(kind, info.backend, info.model, info.serial, *also, *emulation_of(stand))
 
     def load(self) -> dict[str, Any] | None:
         """Return the stored fields, None if nothing was stored. Raises WrongUse or ValueError if the file cannot be
@@ -59,6 +63,12 @@ class StoredFacts:
                 f"{self.path} cannot be written ({reason}): it stores facts about this drive that the next run needs; "
                 "make room, or set XDG_STATE_HOME to a folder that can be written"
             ) from None
+
+
+def emulation_of(stand: Stand) -> tuple[str, ...]:
+    """Return the kind of link by which the drive of `stand` may be an emulator, () for one on real hardware."""
+    kind = emulation(stand.devices.get(str(stand.stand.backend)))
+    return (f"on {kind}",) if kind else ()
 
 
 def file_name(*words: str) -> str:

@@ -22,6 +22,7 @@ _REPEATS = 3  # lost or stale replies in a row
 _SILENCE = 0.02  # s without a reply, and at least _REPEATS of them, before a run is ended
 _STALE = 0.05  # s of replies that repeat the drive's own clock, and at least _REPEATS of them
 _STALE_FLAG, _GOOD = int(Status.STALE), Status(0)
+_UNKNOWN_COUNTS = AtJoint()
 _LATE_RAMP, _LATE_OFF = 0.01, 0.05  # s by which a tick may be late before the run is ramped down, is ended at once
 
 
@@ -36,14 +37,19 @@ class Guard:
     """Checks every sample of a run against the limits.
 
     limits: of the stand. moves: the smallest change of torque at the joint, N m, that is impossible unless the motor
-    turns. more: further limits of this run.
+    turns. more: further limits of this run. counts: the values of one count of the readings.
     """
 
-    def __init__(self, limits: LimitsTable, moves: float, more: Sequence[Limit] = ()) -> None:
+    def __init__(
+        self, limits: LimitsTable, moves: float, more: Sequence[Limit] = (), counts: AtJoint = _UNKNOWN_COUNTS
+    ) -> None:
+        self._levels = (
+            Level("torque", 0, "N m", limits.torque, counts.torque),
+            Level("deflection", 1, "rad", limits.deflection, counts.dtheta),
+            Level("velocity", 2, "rad/s", limits.velocity, counts.dtheta_dot),
+        )
         self.limits: tuple[Limit, ...] = (
-            Level("torque", 0, "N m", limits.torque),
-            Level("deflection", 1, "rad", limits.deflection),
-            Level("velocity", 2, "rad/s", limits.velocity),
+            *self._levels,
             Temperature(limits.temperature, limits.torque),
             Supply(),
             StuckEncoder(moves),
@@ -73,6 +79,10 @@ class Guard:
             self._fresh_reply, self._stale_in_row = sample.t, 0
         else:
             self._check_fresh(sample)
+
+    def exceeded(self, start: float) -> list[str]:
+        """Return a sentence for each quantity that was above its limit, beyond its noise. start: of the run, s."""
+        return [said for level in self._levels if (said := level.exceeded(start))]
 
     def _check_fresh(self, sample: Sample) -> None:
         self._stale_in_row += 1

@@ -41,13 +41,13 @@ class TooHot(LimitReached):
 
 
 class HeatMemory:
-    """The file that keeps the winding's temperature of the drive `info` between two runs.
+    """The file that keeps the winding's temperature of the drive `info` of `stand` between two runs.
 
     Raises WrongUse if the file cannot be read or written.
     """
 
-    def __init__(self, info: ServoInfo) -> None:
-        self._memory = StoredFacts.of_drive("heat", info)
+    def __init__(self, stand: Stand, info: ServoInfo) -> None:
+        self._memory = StoredFacts.of_drive("heat", stand, info)
 
     def load(self, model: WindingModel, now: float) -> Temperatures:
         """Return the temperatures at `now`, s since 1970: those at the end of the last run, after the cooling since
@@ -216,7 +216,7 @@ def heat_budget(stand: Stand, info: ServoInfo, profile: Profile) -> WindingHeat 
     limits, gear = stand.checked_limits(), stand.stand.gear_ratio
     model = stand.winding.model(limits.temperature)
     planned = _mean_squares(profile, gear) if profile.mode is Quantity.TORQUE else []
-    memory = None if stand.stand.backend in {"sim", "replay"} else HeatMemory(info)
+    memory = None if stand.stand.backend in {"sim", "replay"} else HeatMemory(stand, info)
     return WindingHeat(
         model,
         limits.temperature,

@@ -1,28 +1,37 @@
 """The limits of a run: each has a name, gives the reason for which it ends a run, and defines how long it must be
 exceeded.
 
-All limits are at the joint in SI and come from the stand file. A single reading far beyond a limit ends a run. A
-reading slightly beyond a limit must occur again within a few readings, so that one wrong count does not end a
-recording. Values that are not finite are handled before any comparison, since NaN is never above a limit.
+All limits are at the joint in SI and come from the stand file. `Excess` decides how far and how long a reading may be
+above a limit (docs/wiring.md). Values that are not finite are handled before any comparison, since NaN is never above a
+limit.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
+from heapq import heappush, heappushpop
 from typing import NamedTuple, Protocol
 
 from drivers.servo import BadReply, Sample
 
+_FAR_BEYOND, _BEYOND, _SLIGHTLY = 0.5, 0.1, 0.03  # above a limit, of it: in one reading, in three of ten, for `_LASTS`
 _TIMES, _OF = 3, 10  # readings beyond a limit, or missing, among the last ones
-_SLIGHTLY, _BEYOND, _FAR_BEYOND = 1.03, 1.1, 1.5  # of a limit
-_SLIGHTLY_FOR, _FORGET = 0.25, 10.0  # s slightly beyond a limit, which are forgotten after about so many s
+_LASTS, _FORGET = 0.25, 10.0  # s slightly beyond a limit, which are forgotten after about so many s
+_NAMED, _LEAST = 10, 1e-3  # readings above a limit, by at least this much of it, that are named at the end of a run
+_NOISES, _NAMED_NOISES = 3.0, 4.0  # standard deviations of its noise, that a reading slightly beyond, or named, exceeds
+_NEGLIGIBLE = 1e-4  # s slightly beyond a limit, at which they are forgotten
+_LATEST = 251  # readings above a limit whose noise is estimated
 _LONGEST = 0.05  # s of one reading that count
 _COOL_START, _COOL_RUN = 15.0, 5.0  # degC below the limit: refuse to start, stop
 _FROZEN, _WARMING = 300.0, 0.5  # s of the same temperature while the torque is above this share of its limit
 _SLOW_STEP = 30.0  # s between two temperatures, at least, where the winding comes to its balance
 _SUPPLY = 0.3  # of the supply voltage at rest
 _YIELDS = 0.2  # of the deflection limit, that a locked joint may turn
+_BINOMIAL = (1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0)
+_NOISE = 1.0 / (0.4307 * math.sqrt(sum(weight * weight for weight in _BINOMIAL)))
+"""Standard deviation of white noise over the lowest third of the magnitudes of its sixth differences."""
 
 
 class LimitReached(Exception):
@@ -71,6 +80,64 @@ class Persistence:
         return now and self.seen.bit_count() >= _TIMES
 
 
+class Excess:
+    """The readings of one quantity above its limit. limit: largest allowed magnitude. count: the value of one
+    count, NaN if not known. recent: the last readings, to which the caller adds each one.
+
+    Their noise is estimated from the sixth differences of seven readings in a row: in a motion that is sampled ten
+    times a cycle, they contain 0.2 % of the motion. The lowest third of their magnitudes is used, because those of a
+    step or a gap are large. rows: number of readings above; first: time of the first one, s;
+    largest: the largest excesses as shares of the limit, as a heap.
+    """
+
+    def __init__(self, limit: float, count: float) -> None:
+        self.recent: deque[float] = deque(maxlen=len(_BINOMIAL))
+        self.rows, self.first = 0, math.nan
+        self.largest: list[float] = []
+        self._limit = limit
+        self._rounding = 0.5 * count / limit if count > 0.0 else 0.0  # false for a NaN
+        self._clearly = Persistence()
+        self._changes: deque[float] = deque(maxlen=_LATEST)  # magnitudes of the sixth differences
+        self._lasted = 0.0  # s slightly beyond
+
+    @property
+    def settled(self) -> bool:
+        """Return whether no reading was beyond the limit of late."""
+        return not self._clearly.seen and not self._lasted
+
+    def ends(self, size: float, t: float, passed: float) -> bool:
+        """Return whether the reading of magnitude `size` at time `t`, s, ends the run. passed: s since the last one."""
+        beyond = size / self._limit - 1.0
+        if beyond > 0.0:
+            self._add(beyond, t)
+        slightly = beyond > _SLIGHTLY and beyond > _NOISES * self._noise + self._rounding
+        if self._lasted or slightly:
+            passed = min(passed, _LONGEST) if passed > 0.0 else 0.0  # false for a NaN
+            self._lasted = self._lasted * (1.0 - passed / _FORGET) + (passed if slightly else 0.0)
+            self._lasted = self._lasted if self._lasted > _NEGLIGIBLE else 0.0
+        return self._clearly(beyond > _BEYOND) or beyond > _FAR_BEYOND or self._lasted > _LASTS
+
+    def lasting(self) -> bool:
+        """Return whether enough readings were above the limit, by more than their noise, to be named at the end."""
+        least = max(_LEAST, _NAMED_NOISES * self._noise + self._rounding)
+        return len(self.largest) == _NAMED and self.largest[0] > least
+
+    @property
+    def _noise(self) -> float:
+        """The standard deviation of the readings' noise, as a share of the limit; 0 if it is not known."""
+        return _NOISE * sorted(self._changes)[len(self._changes) // 3] / self._limit if self._changes else 0.0
+
+    def _add(self, beyond: float, t: float) -> None:
+        if not self.rows:
+            self.first = t
+        self.rows += 1
+        (heappush if len(self.largest) < _NAMED else heappushpop)(self.largest, beyond)
+        if len(self.recent) == len(_BINOMIAL):
+            change = sum(weight * value for weight, value in zip(_BINOMIAL, self.recent, strict=True))
+            if math.isfinite(change):
+                self._changes.append(abs(change))
+
+
 class Presence:
     """Checks that a quantity which was read at rest is still read during the run: without the reading its limit is
     blind.
@@ -102,17 +169,17 @@ class Level:
     """The limit on the magnitude of torque, deflection or velocity at the joint.
 
     field: index of the quantity in `AtJoint`. unit: of the quantity. limit: largest allowed magnitude.
+    count: the value of one count, NaN if not known.
     """
 
-    def __init__(self, name: str, field: int, unit: str, limit: float) -> None:
+    def __init__(self, name: str, field: int, unit: str, limit: float, count: float = math.nan) -> None:
         self.name = name
         self._field, self._unit, self._limit = field, unit, limit
         self._present = Presence(name)
-        self._beyond = Persistence()
+        self._excess = Excess(limit, count)
+        self._recent = self._excess.recent.append
         self._last = math.nan
-        self._spent = 0.0  # s slightly beyond
-        self._settled = False  # whether nothing was missing or beyond of late
-        self._slightly = _SLIGHTLY * limit
+        self._settled = False  # whether nothing was missing or above the limit of late
 
     def start(self, samples: Sequence[Sample], at_joint: Sequence[AtJoint]) -> None:
         """Note whether the quantity is read at rest: from then on it must be read."""
@@ -124,28 +191,34 @@ class Level:
         repeatedly.
         """
         value = at_joint[self._field]
-        if self._settled and -self._slightly < value < self._slightly:  # false for a NaN
+        self._recent(value)
+        if self._settled and -self._limit <= value <= self._limit:  # false for a NaN
             self._last = sample.t
             return
         self._check_closely(value, sample)
-        self._settled = self._present.settled and not self._beyond.seen and not self._spent
+        self._settled = self._present.settled and self._excess.settled
+
+    def exceeded(self, start: float) -> str:
+        """Return by how much, in how many rows and since when the quantity was above its limit, "" if it was not or by
+        its noise only. start: of the run, s.
+        """
+        excess = self._excess
+        if not excess.lasting():
+            return ""
+        return (
+            f"the {self.name} was above its limit of {self._limit:g} {self._unit} in {excess.rows} rows from "
+            f"{excess.first - start:.3g} s on, by {max(excess.largest) * 100.0:.2g} % at most"
+        )
 
     def _check_closely(self, value: float, sample: Sample) -> None:
+        passed, self._last = sample.t - self._last, sample.t
         if not self._present.check(value):
             return
-        size = abs(value) / self._limit
-        if self._beyond(size > _BEYOND) or size > _FAR_BEYOND or self._stays(size > _SLIGHTLY, sample.t):
+        if self._excess.ends(abs(value), sample.t, passed):
             raise LimitReached(
                 f"the {self.name} reached {abs(value):.3g} {self._unit}; its limit is {self._limit:g}: "
                 "lower --amplitude or change --band"
             )
-
-    def _stays(self, beyond: bool, now: float) -> bool:
-        passed, self._last = now - self._last, now
-        if self._spent or beyond:
-            passed = min(passed, _LONGEST) if passed > 0.0 else 0.0
-            self._spent = max(0.0, self._spent * (1.0 - passed / _FORGET) + (passed if beyond else 0.0))
-        return self._spent > _SLIGHTLY_FOR
 
 
 class Temperature:

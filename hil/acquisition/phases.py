@@ -58,7 +58,8 @@ class Outcome:
     begin. end_reason: why the run ended, for the recording. error: the fault that ended the run; None if the run was
     complete or was stopped on request. signal: number of the signal that requested the stop. alarm: a sentence to show
     first if the torque may still be on, otherwise "". moved: a sentence that says where the recording is, if its file
-    was removed during the run or could not be made final. phases: the phases of the run.
+    was removed during the run or could not be made final. exceeded: for each limit that was exceeded beyond the noise
+    without ending the run, how far and since when. phases: the phases of the run.
     """
 
     samples: int = 0
@@ -71,4 +72,5 @@ class Outcome:
     error: BaseException | None = None
     alarm: str = ""
     moved: str = ""
+    exceeded: list[str] = field(default_factory=list)
     phases: Phases = field(default_factory=Phases)

@@ -15,8 +15,8 @@ from statistics import fmean
 
 import numpy as np
 
-from drivers.servo import BadReply, Command, Limits, NoReply, Quantity, Sample, Servo, Status
-from drivers.torque_off import Driven, confirm_torque_off
+from drivers.servo import BadReply, Command, Limits, NoReply, Quantity, Sample, Servo, ServoInfo, Status
+from drivers.torque_off import Alarm, Driven, confirm_torque_off, log_alarm
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import Guard
 from hil.acquisition.heat import heat_budget
@@ -57,12 +57,21 @@ class Recorder:
     """Records one run of `profile` on the open `servo`, at `rate` Hz, into `sink`.
 
     scratch: the folder for the set-points of a long run, which are kept on disk; None: the system's temporary folder.
-    Raises WrongUse for a stand without limits, and for a drive whose torque stays on when this computer stops, unless
-    the stand file accepts that.
+    alarm: called at once if the torque may still be on, see `confirm_torque_off`; None: it is logged. Raises WrongUse
+    for a stand without limits, and for a drive whose torque stays on when this computer stops, unless the stand file
+    accepts that.
     """
 
     def __init__(
-        self, stand: Stand, servo: Servo, profile: Profile, rate: float, sink: Sink, *, scratch: Path | None = None
+        self,
+        stand: Stand,
+        servo: Servo,
+        profile: Profile,
+        rate: float,
+        sink: Sink,
+        *,
+        scratch: Path | None = None,
+        alarm: Alarm | None = None,
     ) -> None:
         limits = stand.checked_limits()
         require_watchdog(stand, servo.info)
@@ -75,6 +84,7 @@ class Recorder:
         self._rate, self._late = rate, 0.5 / rate  # s after its time from which a tick is late
         self._sink, self._append = sink, sink.append
         self._scratch = Path(tempfile.gettempdir()) if scratch is None else scratch
+        self._alarm = alarm or log_alarm
         # a profile of torque swings by twice its amplitude; for a profile of position only the limit is known
         by_torque = profile.mode is Quantity.TORQUE
         self._heat = heat_budget(stand, servo.info, profile)
@@ -82,6 +92,7 @@ class Recorder:
             limits,
             moves=profile.amplitude if by_torque else 0.5 * limits.torque,
             more=() if self._heat is None else (self._heat,),
+            counts=self._counts(servo.info),
         )
         self._check = self._guard.check
         self._outcome = Outcome()
@@ -90,6 +101,12 @@ class Recorder:
         self._last = Sample.missing(math.nan)  # reply while it was driven
         self._off_asked = False
         self._off_error: BaseException | None = None
+
+    def _counts(self, info: ServoInfo) -> AtJoint:
+        """Return the value of one count of each reading at the joint, NaN if it is not known."""
+        way, drives = self._transmission, self._torque_source == "motor"
+        angle, velocity = way.rate(info.position_lsb), way.rate(info.velocity_lsb)  # both are divided by the ratio
+        return AtJoint(way.torque(info.torque_lsb) if drives else math.nan, angle, velocity)
 
     def run(self, stop: StopRequest) -> Outcome:
         """Record until the profile's end, a request to stop or a fault. The servo is disarmed on return.
@@ -111,6 +128,8 @@ class Recorder:
             with suppress(WrongUse):  # what it kept at the start is no cooler
                 self._heat.keep()
         outcome.samples = len(self._sink)
+        if not isinstance(outcome.error, LimitReached):
+            outcome.exceeded = self._guard.exceeded(self._start)
         self._note_end()
         return outcome
 
@@ -311,7 +330,7 @@ class Recorder:
 
     def _torque_off(self) -> None:
         driven = None if self._at_motor is None else Driven(self._at_motor, self._last)
-        result = confirm_torque_off(self._servo, driven)
+        result = confirm_torque_off(self._servo, driven, self._alarm)
         self._outcome.alarm, self._off_error = result.alarm, result.error
         self._off_asked = True
         if result.confirmed and self._outcome.phases.now is not Phase.OFF:
@@ -332,10 +351,11 @@ class Recorder:
             for t, phase in outcome.phases.history:
                 if phase is Phase.OFF and math.isfinite(self._stopping_at):
                     self._sink.event(t - self._start, "torque-off", "the drive confirmed it")
-            if outcome.error is None:
-                return
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
-            self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
+            for text in outcome.exceeded:
+                self._sink.event(since, "over-limit", text)
+            if outcome.error is not None:
+                self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
         except Exception as error:  # noqa: BLE001 - in any case the data is kept
             outcome.end_reason += f"; {error}"
 

@@ -8,7 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.clock import MonotonicClock
-from drivers.servo import Quantity, Servo
+from drivers.servo import Quantity, Servo, ServoInfo
+from drivers.torque_off import Alarm
 from hil.acquisition.commissioning import Agree, permitted, require_agreement
 from hil.acquisition.excitation import Profile
 from hil.acquisition.guard import longest_silence
@@ -23,6 +24,7 @@ from hil.live.rerun import check as check_rerun
 from hil.live.viewer import beside
 from hil.printable import quoted
 from hil.recording.background import BackgroundWriter
+from hil.recording.channels import TorqueScale
 from hil.recording.output import (
     NameTaken,
     check_folder,
@@ -38,7 +40,7 @@ from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.devices import check_backend
 from hil.stand.file import Stand
-from hil.stand.opening import open_servo
+from hil.stand.opening import open_servo, require_quiet_neighbours
 from sim_backend.fault_plan import FaultPlan
 from sim_backend.faulty_servo import FaultyServo
 
@@ -63,7 +65,7 @@ def run(
     force: bool = False,
     guardian: bool = True,
     rerun: str = "",
-    alarm: Callable[[str], object] | None = None,
+    alarm: Alarm | None = None,
     faults: FaultPlan | None = None,
     warn: Callable[[list[Diagnostic]], object] = lambda _: None,
     agree: Agree | None = None,
@@ -71,12 +73,11 @@ def run(
     """Record `profile` on `stand` at `rate` Hz into `output` (None: the next free recordings/runN.h5).
 
     Return the recording's path and the outcome of the run. On every path the torque is off and the servo closed.
-
     seed: of the simulator. realtime: whether a simulated stand runs in wall time. note, command_line: texts stored in
     the recording. force: replace an existing recording of that name, finished or not. guardian: whether a second
     process switches the torque off if this one is killed, frozen or late. rerun: "window" or a file .rrd, in which
-    Rerun shows the run; "" for neither. alarm: called with a sentence if the torque may still be on, before the file is
-    made final. faults: planned faults of a simulated stand. warn: called with the warnings about the opened drive.
+    Rerun shows the run; "" for neither. alarm: called at once if the torque may still be on, and if it is off later.
+    faults: planned faults of a simulated stand. warn: called with the warnings about the opened drive.
     agree: called before anything is opened if a real motor moves for the first time; it raises to refuse. Raises
     WrongUse before anything moves, DriverError if the servo cannot be opened.
     """
@@ -96,20 +97,31 @@ def run(
                 seed=seed,
                 operator_note=note,
                 command_line=command_line,
+                torque_scale=_torque_scale(stand, servo.info),
             )
             begun = _begin(output, header, tick_count(profile, rate), max(1, int(_HELD_BACK * rate)), force=force)
             writer = _behind(begun, servo, rate)
             try:
                 with beside(writer.path, rerun):
                     sink = writer if faults is None else host.sink(writer)
-                    outcome = Recorder(allowed, servo, profile, rate, sink, scratch=writer.path.parent).run(stop)
+                    folder = writer.path.parent
+                    outcome = Recorder(allowed, servo, profile, rate, sink, scratch=folder, alarm=alarm).run(stop)
             except BaseException:
                 _close(writer)
                 raise
         finally:
             _close_servo(servo, outcome)
-        _raise_alarm(writer, outcome, alarm)
         return _finish(writer, outcome, force=force), outcome
+
+
+def _torque_scale(stand: Stand, info: ServoInfo) -> TorqueScale:
+    """Return how well the scale of the torque that `stand` uses is known: that of the drive's torque, or the cell's."""
+    if stand.sensor is not None and stand.stand.torque_source == "joint":
+        return TorqueScale(source="the torque cell")
+    known = info.torque_uncertainty
+    if known == 0.0:
+        return TorqueScale(known)
+    return TorqueScale(known, f"{info.model}'s torque constant of the maker's table" if known > 0.0 else info.model)
 
 
 def _motion(stand: Stand, profile: Profile) -> str:
@@ -138,7 +150,10 @@ def _opened(
 
 
 def _allowed(stand: Stand, servo: Servo, profile: Profile, warn: Callable[[list[Diagnostic]], object]) -> Stand:
-    """Return the stand with the torque limit that its drive may use. Raises WrongUse."""
+    """Return the stand with the torque limit that its drive may use. Raises WrongUse, also if another drive on its bus
+    holds torque.
+    """
+    require_quiet_neighbours(stand, servo)
     stand, warnings = permitted(stand, servo.info, profile)
     warn(warnings)
     return stand
@@ -158,17 +173,8 @@ def _checked(stand: Stand, output: Path | None, rerun: str, *, force: bool) -> P
     check_output(output, force=force, inputs=inputs)
     check_recording_name(output)
     check_output(part_path(output), force=True, inputs=inputs)
-    if not force:
-        check_unfinished(output)
+    check_unfinished(output, force=force)
     return output
-
-
-def _raise_alarm(writer: Writer, outcome: Outcome, alarm: Callable[[str], object] | None) -> None:
-    if outcome.alarm and alarm is not None:
-        with suppress(Exception):  # the rows first, then the words, which must not cost a row
-            writer.flush()
-        with suppress(Exception):
-            alarm(outcome.alarm)
 
 
 def _begin(output: Path | None, header: Header, length: int, batch: int, *, force: bool) -> RecordingWriter:

@@ -17,9 +17,10 @@ from hil.calibration.session import TorqueCell, motor_at_rest, released, steady
 from hil.calibration.step import StepResponse, step_response
 from hil.calibration.torque import GRAVITY_UNCERTAINTY, Point, Scale, fit, implausible
 from hil.errors import Untrustworthy, WrongUse
+from hil.hand.edit import update
+from hil.hand.file import load_stand
 from hil.recording.reader import Recording
-from hil.stand.edit import update
-from hil.stand.file import Stand, load
+from hil.stand.file import Stand
 
 _NORMAL = 1.96
 
@@ -58,16 +59,16 @@ def read_loads(
 
 
 def store_torque(
-    path: Path, points: Sequence[Point], *, tare: float, arm: tuple[float, float] | None
+    path: Path, points: Sequence[Point], *, tare: float, arm: tuple[float, float] | None, joint: str | None = None
 ) -> tuple[Scale, list[str]]:
     """Fit the cell's scale to the known loads and store it in the stand file at `path`; return the scale and the
     changed keys.
 
     tare: the cell's reading without load, in counts or as printed. arm: length of the lever and its standard
-    uncertainty, m; None if torques were given. Raises WrongUse for too few loads, Untrustworthy if the readings do not
-    lie on a rising line. The file is changed only on success.
+    uncertainty, m; None if torques were given. joint: of a hand's file. Raises WrongUse for too few loads,
+    Untrustworthy if the readings do not lie on a rising line. The file is changed only on success.
     """
-    stand = load(path)
+    stand = load_stand(path, joint)
     lever = 0.0 if arm is None else math.hypot(arm[1] / arm[0], GRAVITY_UNCERTAINTY)
     found = fit(points, lever)
     measured: dict[str, Any] = {
@@ -86,16 +87,16 @@ def store_torque(
     }
     if stand.stand.torque_source == "joint":
         changes["stand"] = {"torque_uncertainty": measured["uncertainty"]}
-    update(path, changes)
+    update(path, changes, joint or "")
     return found, [f"{table}.{key}" for table, keys in changes.items() if "." not in table for key in keys]
 
 
-def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
+def store_step(path: Path, cell: TorqueCell, clock: Clock, joint: str | None = None) -> StepResponse:
     """Measure the cell's delay and bandwidth from a load that is taken off within ten seconds, and store them in the
     stand file.
 
-    path: of the stand file. Raises Untrustworthy if there is no clear step, DriverError if the connection to the cell
-    is lost.
+    path: of the stand file. joint: of a hand's file. Raises Untrustworthy if there is no clear step, DriverError if the
+    connection to the cell is lost.
     """
     rows = released(cell, clock)
     found = step_response(*rows.T)
@@ -111,18 +112,19 @@ def store_step(path: Path, cell: TorqueCell, clock: Clock) -> StepResponse:
                 "bandwidth": _digits(found.bandwidth),
             },
         },
+        joint or "",
     )
     return found
 
 
-def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
+def store_zero(path: Path, ready: Callable[[str], object], joint: str | None = None) -> Zero:
     """Measure the motor's angle at rest and store it as `stand.zero` in the stand file at `path`; return the angle.
 
     The angle is read twice, because friction holds a joint where it stops: the person turns the motor first to one
-    side, then to the other. ready: called with the instruction before each reading. Raises DriverError, and
-    Untrustworthy if the motor moves.
+    side, then to the other. joint: of a hand's file. ready: called with the instruction before each reading. Raises
+    DriverError, and Untrustworthy if the motor moves.
     """
-    stand = load(path)
+    stand = load_stand(path, joint)
     angles, counts = [], []
     for side in ("one way", "the other way"):
         ready(f"turn the motor a little {side} by hand, let it return, and take the hand off")
@@ -142,18 +144,19 @@ def store_zero(path: Path, ready: Callable[[str], object]) -> Zero:
             "stand": {"zero": stored},
             "calibration.zero": {"date": _now(), "zero": stored, "uncertainty": _digits(zero.uncertainty)},
         },
+        joint or "",
     )
     return zero
 
 
-def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationResult:
+def store_fixture(path: Path, recording: Path, *, joint: str | None = None, **search: Any) -> IdentificationResult:
     """Identify Kc and Bc of the empty rig from `recording` and store them in the stand file at `path`; return the
     result.
 
-    search: further arguments of `hil.api.analysis.identify`. Raises WrongUse, and Untrustworthy if the recording does
-    not determine the rig's stiffness.
+    joint: of a hand's file. search: further arguments of `hil.api.analysis.identify`. Raises WrongUse, and
+    Untrustworthy if the recording does not determine the rig's stiffness.
     """
-    load(path)
+    load_stand(path, joint)
     result = identify([recording], "linear", **search)
     found = result.identification
     kc, bc = found["Kc"], found["Bc"]
@@ -175,6 +178,7 @@ def store_fixture(path: Path, recording: Path, **search: Any) -> IdentificationR
                 "damping_uncertainty": _digits(_error(bc.ci95)),
             }
         },
+        joint or "",
     )
     return result
 

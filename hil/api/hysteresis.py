@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from hil.exchange.columns import Table, open_table
 from hil.exchange.headings import listed, unit_of
 from hil.hysteresis_curve.branches import Torsion
 from hil.hysteresis_curve.measures import Measures, measure
+from hil.recording.channels import LARGEST, TorqueScale
 from hil.report.loops import hysteresis as hysteresis_report
 from hil.report.pictures.canvas import drawn
 from hil.signals.angle import unwrapped
@@ -32,20 +34,24 @@ _RECORDINGS = frozenset({".h5", ".hdf5", ".part"})
 
 @dataclass(frozen=True, slots=True)
 class HysteresisResult:
-    """The result of `hysteresis`. `str(result)` is the answer in one line; measures: all numbers."""
+    """The result of `hysteresis`. `str(result)` is the answer: stiffness, and below it lost motion, play and loss.
+
+    measures: all numbers. torque_scale: how well the torque's scale is known; its uncertainty is not in the numbers.
+    """
 
     measures: Measures
     paths: tuple[Path, ...]
+    torque_scale: TorqueScale
 
     def __repr__(self) -> str:
-        return f"<{self}>"
+        return f"<{hysteresis_report.answers(self.measures)[0]}>"
 
     def __str__(self) -> str:
-        return hysteresis_report.headline(self.measures)
+        return "\n".join(hysteresis_report.answers(self.measures))
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil hysteresis --json`."""
-        return hysteresis_report.as_json(self.measures)
+        return hysteresis_report.as_json(self.measures, self.torque_scale)
 
     def plot(self) -> Figure:
         """Return a figure of the loops: torque over angle."""
@@ -54,7 +60,8 @@ class HysteresisResult:
     @worded
     def report(self, path: AnyPath, command: str = "", *, force: bool = True) -> Path:
         """Write the HTML report to `path` and return the path. command: printed in the report. Raises WrongUse."""
-        return hysteresis_report.write_page(self.measures, self.paths, Path(path), command, force=force)
+        measured = (self.measures, self.torque_scale)
+        return hysteresis_report.write_page(*measured, self.paths, Path(path), command, force=force)
 
 
 @worded
@@ -78,18 +85,22 @@ def hysteresis(
     """
     paths = [Path(run) for run in ([runs] if isinstance(runs, str | os.PathLike) else runs)]
     columns = (("torque", torque, torque_unit), ("angle", dtheta, dtheta_unit))
-    tests = [_recording(path) if path.suffix.lower() in _RECORDINGS else _table(path, columns) for path in paths]
-    return HysteresisResult(measure(tests, rated, parts, lost_motion), tuple(paths))
+    scales: list[TorqueScale] = []
+    tests = [
+        _recording(path, scales) if path.suffix.lower() in _RECORDINGS else _table(path, columns) for path in paths
+    ]
+    return HysteresisResult(measure(tests, rated, parts, lost_motion), tuple(paths), TorqueScale.widest(scales))
 
 
-def _recording(path: Path) -> Torsion:
+def _recording(path: Path, scales: list[TorqueScale]) -> Torsion:
     with open_sources([path]) as (source,):
         source.verify()
+        scales.append(source.torque_scale)
         names = ("torque", "dtheta", "command", "time")
         torque, angle, command, time = (source.recording.channel(name) for name in names)
-    good = np.isfinite(torque) & np.isfinite(angle) & np.isfinite(time)
+    good = (np.abs(torque) < LARGEST) & (np.abs(angle) < LARGEST) & np.isfinite(time)
     known = bool(np.isfinite(command[good]).all() and np.ptp(command[good]) > 0.0) if good.any() else False
-    return _test(path, torque[good], angle[good], command[good] if known else None, float(np.ptp(time[good])))
+    return _test(path, torque[good], angle[good], command[good] if known else None, time[good])
 
 
 def _table(path: Path, columns: Sequence[tuple[str, str | None, str | None]]) -> Torsion:
@@ -103,7 +114,7 @@ def _table(path: Path, columns: Sequence[tuple[str, str | None, str | None]]) ->
             raise WrongUse(f"{path} does not say the unit of {title!r}: give it with {option}, or in the heading")
         factors.append(units.factor(dimension, unit))
     (torque, angle), _ = table.read(titles, ())
-    good = np.isfinite(torque) & np.isfinite(angle)
+    good = (np.abs(torque) < LARGEST) & (np.abs(angle) < LARGEST)
     return _test(path, torque[good] * factors[0], angle[good] * factors[1])
 
 
@@ -127,10 +138,10 @@ def _title(table: Table, dimension: str, name: str | None) -> str:
     return found[0]
 
 
-def _test(path: Path, torque: Any, angle: Any, command: Any = None, seconds: float = float("nan")) -> Torsion:
+def _test(path: Path, torque: Any, angle: Any, command: Any = None, time: Any = (math.nan,)) -> Torsion:
     if len(torque) < _FEWEST or not np.ptp(torque) > 0.0 or not np.ptp(angle) > 0.0:
         raise Untrustworthy(
             f"{path}: torque or angle never changes in {len(torque)} rows with both, so there is no loop: check the "
             "columns, or load the joint"
         )
-    return Torsion(str(path), torque, unwrapped(angle, torque)[0], command, seconds)
+    return Torsion(str(path), torque, unwrapped(angle, torque)[0], command, float(np.ptp(time)))

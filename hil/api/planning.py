@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from drivers.servo import Quantity
@@ -15,6 +15,7 @@ from hil.diagnostics import Diagnostic
 from hil.experiment_design import advice
 from hil.experiment_design.assessment import Assessment, Task, assess, check_limits, task_of
 from hil.experiment_design.search import best
+from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.report.design import as_json, headline
 from hil.stand.file import Stand
@@ -66,6 +67,7 @@ def design(
     stand: AnyStand,
     profile: str = "chirp",
     *,
+    joint: str | None = None,
     kc: float | None = None,
     bc: float | None = None,
     torque_noise: float | None = None,
@@ -87,18 +89,19 @@ def design(
     and the completed fraction. The other arguments are those of `hil.record`. Raises WrongUse, also if the excitation
     would exceed a limit of the stand.
     """
-    opened, quantity = opened_stand(stand), quantity_of(mode)
+    opened, quantity = opened_stand(stand, joint), quantity_of(mode)
     made = excitation(opened, profile, quantity, (amplitude, band, duration), rate=rate, setpoints=setpoints)
     task = task_of(opened, kc=kc, bc=bc, torque_noise=torque_noise, model=model, mode=quantity, rate=rate)
     given = assess(task, made)
     check_limits(task, given)
     stated = torque_noise is not None or opened.stand.backend == "sim" or "[sim.sensors]" in opened.text
     judged = {"given": given, "best": best(task, made.duration, progress)}
-    return DesignResult(task, judged, _words(stand), tuple(advice.of_task(task, noise_stated=stated)))
+    return DesignResult(task, judged, _words(stand, joint), tuple(advice.of_task(task, noise_stated=stated)))
 
 
-def _words(stand: AnyStand) -> str:
+def _words(stand: AnyStand, joint: str | None) -> str:
     """Return the command-line option that names the stand."""
     if stand == "sim":
         return "--backend sim"
-    return f"--stand {'stand.toml' if isinstance(stand, Stand) else shlex.quote(str(stand))}"
+    words = f"--stand {'stand.toml' if isinstance(stand, Stand) else quoted(Path(stand))}"
+    return words if joint is None else f"{words} --joint {joint}"

@@ -6,9 +6,11 @@ identify`.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
@@ -39,10 +41,11 @@ class IdentificationResult:
     """The result of `identify`: Kc, Bc and the other parameters of the model.
 
     `str(result)` is the answer in one line, `result["Kc"]` is one parameter. identification: all numbers and signals of
-    the result.
+    the result. labels: a pandas Series with the index of the data frame that was identified, None if there is none.
     """
 
     identification: Identification
+    labels: Any = field(default=None, repr=False, compare=False)
 
     def __getitem__(self, name: str) -> Estimate:
         try:
@@ -108,16 +111,74 @@ class IdentificationResult:
         return controller(self.identification, phase_margin)
 
     @property
-    def predicted(self) -> NDArray[np.float64]:
-        """The model's torque at the joint (n,), N m, for each row that was used."""
-        from hil.report.pictures.traces import modelled
+    def params(self) -> dict[str, float]:
+        """The values of the parameters by name, SI."""
+        return {name: one.value for name, one in self.parameters.items()}
 
-        return modelled(self.identification)
+    def conf_int(self) -> dict[str, tuple[float, float]]:
+        """Return the lower and upper end of each parameter's 95 % interval by name, SI.
+
+        `pandas.DataFrame.from_dict(result.conf_int(), orient="index")` is the table of statsmodels.
+        """
+        return {name: one.ci95 for name, one in self.parameters.items()}
 
     @property
-    def residuals(self) -> NDArray[np.float64]:
-        """Measured torque minus the model's torque (n,), N m, for each row that was used."""
-        return np.asarray(self.identification.signals.torque - self.predicted)
+    def rows(self) -> NDArray[np.int64]:
+        """The row of the recording or frame for each of `residuals` (n,), counted from the first row that was taken."""
+        return self.identification.signals.row
+
+    @property
+    def predicted(self) -> Any:
+        """The model's torque at the joint (n,), N m, for each row that was used.
+
+        An array, or a pandas Series with the index of these rows if a data frame of pandas was identified.
+        """
+        from hil.report.pictures.traces import modelled
+
+        return self._labelled(modelled(self.identification))
+
+    @worded
+    def predict(self, recording: Any = None) -> Any:
+        """Return the model's torque (n,), N m, for the motion of another recording or data frame, as `predicted` does.
+
+        None: the one that was identified. The rows are those that `identify` would use. Raises WrongUse, and
+        Untrustworthy for a recording without usable rows.
+        """
+        if recording is None:
+            return self.predicted
+        from hil.api.given import signals_of
+
+        signals, labels = signals_of(recording)
+        other = replace(self.identification, signals=signals.counted_from(self.identification.reference))
+        return IdentificationResult(other, labels).predicted
+
+    @property
+    def residuals(self) -> Any:
+        """Measured torque minus the model's torque (n,), N m, for each row that was used; a Series as `predicted`."""
+        from hil.report.pictures.traces import modelled
+
+        return self._labelled(self.identification.signals.torque - modelled(self.identification))
+
+    def _labelled(self, values: NDArray[np.float64]) -> Any:
+        if self.labels is None:
+            return values
+        return type(self.labels)(values, index=self.labels.index[self.rows], name="torque")
+
+    @property
+    def digest(self) -> str:
+        """A SHA-256, hex, of the torque that was used, the options, every number of `as_json` and the diagnostics'
+        codes.
+
+        Equal for the same recording and options, on any number of workers and wherever the file lies: another digest
+        means another result. A version of hil that finds the same numbers gives the same digest; another kind of
+        processor may differ in the last digits.
+        """
+        found = self.identification
+        fixture = found.fixture and replace(found.fixture, recording=Path())
+        codes = [(one.code, one.parameter, one.is_error) for one in found.diagnostics]
+        plain = replace(found, recordings=(), seconds=0.0, fixture=fixture, diagnostics=())
+        text = json.dumps([identification_json.as_json(plain), codes], sort_keys=True)
+        return hashlib.sha256(text.encode() + np.ascontiguousarray(found.signals.torque).tobytes()).hexdigest()
 
     def summary(self) -> str:
         """Return the answer, the table of the parameters, the warnings and the quality of the fit as text."""

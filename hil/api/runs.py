@@ -17,14 +17,14 @@ from hil.acquisition import run as acquisition
 from hil.acquisition.excitation import Profile, make
 from hil.acquisition.phases import Outcome
 from hil.api.wording import diagnostics_in_python, worded
-from hil.diagnostics import Diagnostic, driven_by_position, lateness
+from hil.diagnostics import Diagnostic, driven_by_position, lateness, over_limit
 from hil.errors import Untrustworthy, WrongUse
 from hil.guardian.handle import available
+from hil.hand.file import load_stand
 from hil.recording.reader import Recording
 from hil.stand.devices import restrictions
 from hil.stand.fault_file import load_plan
 from hil.stand.file import SIMULATED, Stand, parse
-from hil.stand.file import load as load_stand
 
 if TYPE_CHECKING:
     from hil.api.recordings import LoadedRecording
@@ -94,6 +94,7 @@ def record(
     stand: AnyStand,
     profile: str = "chirp",
     *,
+    joint: str | None = None,
     amplitude: float | None = None,
     band: tuple[float, float] | None = None,
     duration: float | None = None,
@@ -117,22 +118,21 @@ def record(
 ) -> Run:
     """Drive the motor of `stand` through an excitation against the locked joint, and record it.
 
-    amplitude: N m or rad at the joint (None: a fifth of the stand's limit). band: Hz. duration: s. rate: sampling rate,
-    Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop, s. setpoints: CSV for profile
-    "file". seed: for everything random. realtime: a simulated stand runs in wall time. note, command_line: texts stored
-    in the recording. output: its path (None: the next free recordings/runN.h5). force: replace a file. guardian:
-    whether a second process switches a real drive's torque off if this process is killed, frozen or late. faults: a
-    TOML file with planned faults of a simulated stand. rerun: "window" or a file .rrd, for Rerun. warn: called with the
-    warnings known before anything moves. alarm: called at once if the torque may still be on. agree: called before a
-    real motor moves for the first time; raises to refuse. ended: called with the run before its fault is raised.
-
+    joint: its name in the file of a hand. amplitude: N m or rad at the joint (None: a fifth of the stand's limit).
+    band: Hz. duration: s. rate: Hz. mode: "torque" or "position". fade: duration of the raised-cosine start and stop,
+    s. setpoints: CSV for profile "file". seed: for everything random. realtime: simulate in wall time. note,
+    command_line: texts stored in the recording. output: its path (None: the next free recordings/runN.h5). force:
+    replace a file. guardian: whether a second process switches a real drive's torque off if this one is killed, frozen
+    or late. faults: a TOML file with planned faults of a simulated stand. rerun: "window" or a file .rrd. warn: called
+    with the warnings known before anything moves. alarm: called at once if the torque may still be on. agree: called
+    before a real motor first moves; raises to refuse. ended: called with the run before its fault is raised.
     The torque is off on return, and all rows are kept. Ctrl-C ramps the torque to zero and sets `outcome.signal`.
-    Raises WrongUse before any motion, DriverError if the drive fails, `hil.acquisition.limits.LimitReached` at a limit.
+    Raises WrongUse before any motion, DriverError if the drive fails, `LimitReached` at a limit.
     """
-    opened, wanted = opened_stand(stand), (quantity_of(mode), (amplitude, band, duration))
-    made = excitation(opened, profile, *wanted, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
+    opened, shape = opened_stand(stand, joint), (quantity_of(mode), (amplitude, band, duration))
+    made = excitation(opened, profile, *shape, rate=rate, setpoints=setpoints, fade=fade, seed=seed)
     foreseen = _warned(_foreseen(opened, made, guardian=guardian), warn)
-    path, outcome = acquisition.run(
+    recorded = acquisition.run(
         opened,
         made,
         rate=rate,
@@ -149,7 +149,7 @@ def record(
         warn=lambda found: foreseen.extend(_warned(found, warn)),
         agree=agree,
     )
-    return _reported(path, outcome, foreseen, ended)
+    return _reported(*recorded, foreseen, ended)
 
 
 def _warned(foreseen: list[Diagnostic], warn: Callable[[Sequence[Diagnostic]], object] | None) -> list[Diagnostic]:
@@ -165,7 +165,8 @@ def _reported(
     """Call `ended` with the run, then return the run. Raises the fault that ended the run."""
     moved = [Diagnostic("file-moved", outcome.moved)] if outcome.moved else []
     late = lateness(outcome.late, outcome.samples)
-    said = diagnostics_in_python((*foreseen, *moved, *late))
+    over = [over_limit(text) for text in outcome.exceeded]
+    said = diagnostics_in_python((*foreseen, *moved, *late, *over))
     run = Run(path, outcome, said, _stored_lateness(path, outcome.samples))
     try:
         if ended is not None:
@@ -242,11 +243,13 @@ def _toml(sim: Mapping[str, Mapping[str, float | bool | str]]) -> str:
     )
 
 
-def opened_stand(stand: AnyStand) -> Stand:
-    """Return the stand in a stand file, or the simulated stand for "sim". Raises WrongUse."""
+def opened_stand(stand: AnyStand, joint: str | None = None) -> Stand:
+    """Return the stand in a stand file, that of a joint in the file of a hand, or the simulated stand for "sim". Raises
+    WrongUse.
+    """
     if isinstance(stand, Stand):
         return stand
-    return parse(SIMULATED) if stand == "sim" else load_stand(Path(stand))
+    return parse(SIMULATED) if stand == "sim" else load_stand(Path(stand), joint)
 
 
 def quantity_of(mode: Quantity | str) -> Quantity:

@@ -1,5 +1,7 @@
 """Messages of hil in the words of Python: the option `--model linear` of a command is the argument model="linear" here.
 
+An error that neither the request nor the data explains becomes an InternalError.
+
 A remedy is written once, with the options of the command line. In Python the same remedy is read as the options that it
 names, and each option that a function of `import hil` has as an argument is written as that argument: with its value as
 model="linear", without one as `model`. An option that prints something is an attribute of the result in Python.
@@ -14,14 +16,19 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 from functools import cache, wraps
+from traceback import walk_tb
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from drivers.servo import DriverError
+from hil.acquisition.limits import LimitReached
 from hil.diagnostics import Diagnostic
+from hil.errors import InternalError, Untrustworthy, WrongUse, is_shortage
 
 _ON_THE_COMMAND_LINE = ContextVar("on_the_command_line", default=False)
 _OTHER_NAMES = {"from": "start", "to": "end", "backend": "stand"}
 _OF_A_RESULT = {"report": "`result.report(path)`", "verbose": "`result.dynamic_stiffness`"}
+_PACKAGES = frozenset({"hil", "ga", "drivers", "sim_backend"})
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -36,8 +43,16 @@ def on_the_command_line() -> Iterator[None]:
         _ON_THE_COMMAND_LINE.reset(token)
 
 
+def is_on_the_command_line() -> bool:
+    """Return whether a command called, and not a program."""
+    return _ON_THE_COMMAND_LINE.get()
+
+
 def worded(function: _Function) -> _Function:
-    """Return the function with the messages of the errors that it raises in the words of Python."""
+    """Return the function with the messages of the errors that it raises in the words of Python.
+
+    An error of hil itself is raised as InternalError; on the command line it is left as it is.
+    """
 
     @wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
@@ -46,9 +61,31 @@ def worded(function: _Function) -> _Function:
         except Exception as error:
             if len(error.args) == 1 and isinstance(error.args[0], str):
                 error.args = (in_python(error.args[0], inspect.signature(function).parameters),)
+            if not _ON_THE_COMMAND_LINE.get() and _is_internal(error, (*arguments, *named.values())):
+                said = f"{type(error).__name__}: {error}; this is a fault in hil itself: report it with this traceback"
+                raise InternalError(said) from error
             raise
 
     return call  # type: ignore[return-value]
+
+
+def _is_internal(error: Exception, arguments: tuple[Any, ...]) -> bool:
+    """Return whether hil itself is the cause of an error that a function of its API raised.
+
+    It is not for hil's own errors, a shortage of the computer, arguments of a wrong type, and an error of a function
+    that the caller gave among the `arguments`.
+    """
+    expected = (WrongUse, Untrustworthy, DriverError, LimitReached, InternalError)
+    if isinstance(error, expected) or is_shortage(error):
+        return False
+    frames = [frame for frame, _ in walk_tb(error.__traceback__)]
+    functions = [
+        getattr(one, "__code__", None) or getattr(type(one).__call__, "__code__", None)
+        for one in arguments
+        if callable(one)
+    ]
+    modules = [name for frame in frames if (name := str(frame.f_globals.get("__name__"))).split(".")[0] in _PACKAGES]
+    return not modules[-1].startswith("hil.api.") and all(frame.f_code not in functions for frame in frames)
 
 
 def diagnostics_in_python(found: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ...]:

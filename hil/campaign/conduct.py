@@ -58,7 +58,7 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
     for at, run in enumerate(due):
         if run.asks:
             desk.ask(run.asks)
-        if at and run.joint.stand != "sim":
+        if at and plan.is_real(run.joint):
             _cool_down(plan.settings.cool_down, desk)
         alarms: list[str] = []
         try:
@@ -75,7 +75,12 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
             journal.keep(run, "stopped on request")
             raise Stopped(ended.outcome.signal)
         journal.keep(run)
-        desk.say(f"{at + 1} of {len(due)}, {run.name}: {ended.outcome.samples} samples, {ended.outcome.lost} lost")
+        left = f"; {plan.seconds(due[at + 1 :]) / 60.0:.1f} min left" if due[at + 1 :] else ""
+        said = f"{ended.outcome.samples} samples, {ended.outcome.lost} lost{left}"
+        desk.say(f"{at + 1} of {len(due)}, {run.name}: {said}")
+        for one in ended.diagnostics:
+            if one.is_error:
+                desk.say(f"{run.name}: {one.message}")
 
 
 def _recorded_when_cool(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
@@ -104,7 +109,12 @@ def _recorded(plan: Plan, run: Run, alarms: list[str], desk: Desk) -> Recorded:
     # a recording of that name is of a run that failed, as the journal knows
     if stand == "sim":
         return simulate(run.path, profile.kind, sim=run.joint.sim, force=True, **common)
-    return record(stand, profile.kind, output=run.path, force=True, alarm=alarms.append, agree=desk.agree, **common)
+
+    def alarm(sentence: str) -> None:
+        alarms.append(sentence)
+        desk.say(sentence)
+
+    return record(stand, profile.kind, output=run.path, force=True, alarm=alarm, agree=desk.agree, **common)
 
 
 def _cool_down(seconds: float, desk: Desk) -> None:

@@ -55,7 +55,7 @@ class Journal:
 
     def is_done(self, run: Run) -> bool:
         """Return whether a run is recorded. Raises WrongUse if its recording was made with other settings."""
-        if not run.path.exists():
+        if not run.path.exists() or self.failure(run):
             return False
         entry = self._entries.get(run.name) or self._recovered(run)
         if entry is None or entry.key != run.key:
@@ -63,7 +63,7 @@ class Journal:
                 f"{run.path} was recorded with other settings than the plan now has: choose another output for the new "
                 "plan, or move the recording away"
             )
-        return not entry.failure
+        return True
 
     def _recovered(self, run: Run) -> Entry | None:
         """Return the entry of a run that was recorded but is missing from the journal because the process was killed.

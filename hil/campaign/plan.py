@@ -1,24 +1,29 @@
-"""The plan of a campaign, plan.toml: joints, profiles and repeats, and the runs that follow from them."""
+"""The plan of a campaign: joints, profiles and repeats, from plan.toml or from the file of a hand, and its runs."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field
 
+from hil.acquisition.commissioning import NOTHING_TURNS
 from hil.errors import WrongUse, meant
+from hil.hand import file as hand_file
 from hil.printable import quoted
+from hil.recording.input import read_text
+from hil.stand.file import LARGEST, Stand
 from hil.stand.sentences import names_the_value, sentence
 from hil.stand.toml_table import line_of, load_table
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 .-]*$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]
 
 
 class _Table(BaseModel):
@@ -106,23 +111,35 @@ class Run:
 @dataclass(frozen=True, slots=True)
 class Plan:
     """A checked plan of a campaign. path: the plan's file. folder: the folder of all results. runs: the recordings in
-    order.
+    order. hand: the hand from whose file the plan follows, None for a plan.toml.
     """
 
     path: Path
     settings: CampaignTable
     folder: Path
-    runs: tuple[Run, ...]
-
-    def stand_of(self, joint: JointTable) -> str | Path:
-        """Return the path of a joint's stand file, or "sim"."""
-        return "sim" if joint.stand == "sim" else self.path.parent / joint.stand
+    runs: tuple[Run, ...] = ()
+    hand: hand_file.Hand | None = None
 
     @property
-    def seconds(self) -> float:
-        """The time that all recordings and the cool-downs between them take, s."""
-        waits = sum(self.settings.cool_down for run in self.runs[1:] if run.joint.stand != "sim")
-        return waits + sum(run.profile.duration for run in self.runs)
+    def kind(self) -> str:
+        """The name of the plan's command, which is also the name of the table with its settings."""
+        return "campaign" if self.hand is None else "hand"
+
+    def stand_of(self, joint: JointTable) -> str | Path | Stand:
+        """Return a joint's stand: of a hand the stand itself, of a plan.toml the path of its file, or "sim"."""
+        if self.hand is not None:
+            return self.hand.joint(joint.name).stand
+        return "sim" if joint.stand == "sim" else self.path.parent / joint.stand
+
+    def is_real(self, joint: JointTable) -> bool:
+        """Return whether a joint's motor is taken for a real one, which has to cool down."""
+        stand = self.stand_of(joint)
+        return stand.stand.backend not in NOTHING_TURNS if isinstance(stand, Stand) else stand != "sim"
+
+    def seconds(self, runs: Sequence[Run]) -> float:
+        """Return the time that recordings and the cool-downs between them take, s."""
+        waits = sum(self.settings.cool_down for run in runs[1:] if self.is_real(run.joint))
+        return waits + sum(run.profile.duration for run in runs)
 
 
 def load(path: Path, model: str | None = None) -> Plan:
@@ -131,11 +148,31 @@ def load(path: Path, model: str | None = None) -> Plan:
     model: replaces the plan's model; unlike the plan's it may be a Python file. Raises WrongUse with all errors of the
     file, each with its line and key, or if the plan would run a Python file or write outside its folder.
     """
-    file = load_table(path, _File, _message)
+    if hand_file.is_hand(read_text(path, largest=LARGEST)):
+        raise WrongUse(f"{path} is the file of a hand, whose plan follows from it: hil hand {quoted(path)}")
+    return _planned(path, load_table(path, _File, _message), model)
+
+
+def of_hand(path: Path, model: str | None = None) -> Plan:
+    """Return the plan that follows from the file of a hand: its joints in order, each with the excitation of [hand].
+
+    model: as in `load`. Raises WrongUse with all errors of the file.
+    """
+    hand = hand_file.load(path)
+    every = hand.settings.model_dump()
+    settings = CampaignTable(**{key: every[key] for key in CampaignTable.model_fields if key in every})
+    shape = {key: every[key] for key in ProfileTable.model_fields if key in every}
+    profile = ProfileTable(**shape | {"name": hand.settings.kind})
+    asks = {one.name: f"Lock {one.name}, and keep hands off." for one in hand.joints}
+    joints = tuple(JointTable(name=name, stand=path.name, before=before) for name, before in asks.items())
+    return _planned(path, _File(campaign=settings, profile=(profile,), joint=joints), model, hand)
+
+
+def _planned(path: Path, file: _File, model: str | None, hand: hand_file.Hand | None = None) -> Plan:
     settings = file.campaign if model is None else file.campaign.model_copy(update={"model": model})
-    plan = Plan(path, settings, path.parent / settings.output, ())
+    plan = Plan(path, settings, path.parent / settings.output, hand=hand)
     _check_reach(plan, given=model is not None)
-    return Plan(path, settings, plan.folder, tuple(_runs(plan, file)))
+    return replace(plan, runs=tuple(_runs(plan, file)))
 
 
 def _check_reach(plan: Plan, *, given: bool) -> None:
@@ -146,8 +183,8 @@ def _check_reach(plan: Plan, *, given: bool) -> None:
     model = plan.settings.model
     if ".py:" in model and not given:
         raise WrongUse(
-            f"{plan.path}: campaign.model = {model!r} is a Python file, and a plan runs none: read that file, then "
-            f"name it yourself: hil campaign {quoted(plan.path)} --model {quoted(model)}"
+            f"{plan.path}: {plan.kind}.model = {model!r} is a Python file, and a plan runs none: read that file, then "
+            f"name it yourself: hil {plan.kind} {quoted(plan.path)} --model {quoted(model)}"
         )
     try:
         inside = plan.folder.resolve().is_relative_to(plan.path.parent.resolve())
@@ -155,8 +192,8 @@ def _check_reach(plan: Plan, *, given: bool) -> None:
         inside = False
     if not inside:
         raise WrongUse(
-            f"{plan.path}: campaign.output = {plan.settings.output!r} is outside the plan's folder, and a plan writes "
-            "nothing there: name a folder inside it, or move the plan"
+            f"{plan.path}: {plan.kind}.output = {plan.settings.output!r} is outside the plan's folder, and a plan "
+            "writes nothing there: name a folder inside it, or move the plan"
         )
 
 
@@ -166,7 +203,11 @@ def _runs(plan: Plan, file: _File) -> Iterator[Run]:
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise WrongUse(f"{plan.path}: two [[{what}]] have the name {twice!r}: their recordings would be one file")
     every, first = file.campaign.drift_check_every, None
-    for count, run in enumerate(_planned(plan, file), 1):
+    runs = list(_each_run(plan, file))
+    name, count = Counter(run.name for run in runs).most_common(1)[0]
+    if count > 1:
+        raise WrongUse(f"{plan.path}: two recordings would have the name {name!r}: rename a joint or a profile")
+    for count, run in enumerate(runs, 1):
         first = first or run
         yield run
         if every and count % every == 0 and run is not first:
@@ -175,7 +216,7 @@ def _runs(plan: Plan, file: _File) -> Iterator[Run]:
             yield _run(plan, settings, number, prefix="drift-check", is_check=True)
 
 
-def _planned(plan: Plan, file: _File) -> Iterator[Run]:
+def _each_run(plan: Plan, file: _File) -> Iterator[Run]:
     for joint in file.joint:
         asks = joint.before
         for pretension in joint.pretensions or ("",):
@@ -199,7 +240,11 @@ def _run(
     joint, profile, pretension = of
     words = [word.replace(" ", "-") for word in (prefix, joint.name, profile.name, pretension) if word]
     name = "_".join([*words, str(repeat)])
-    settings = json.dumps([joint.model_dump(exclude={"before"}), profile.model_dump(), pretension], sort_keys=True)
+    stated = [joint.model_dump(exclude={"before"}), profile.model_dump(), pretension]
+    stand = plan.stand_of(joint)
+    if isinstance(stand, Stand):  # an edit of the hand's file is an edit of the plan; a note of a calibration is not
+        stated += [repr((stand.stand, stand.limits, stand.devices, stand.sensor))]
+    settings = json.dumps(stated, sort_keys=True)
     key = hashlib.sha256(settings.encode()).hexdigest()[:16]
     return Run(name, joint, profile, pretension, repeat, plan.folder / f"{name}.h5", key, asks, is_check)
 
@@ -213,7 +258,7 @@ def _message(text: str, item: Any) -> str:
     if item["type"] == "extra_forbidden":
         hint = f": {meant(str(place[-1]), _keys(place)).strip() or 'there are ' + ', '.join(_keys(place))}"
     if item["type"] == "string_pattern_mismatch":
-        return f"line {line_of(text, place)}: {key}{value}: must be letters, digits, spaces, dots and hyphens"
+        return f"line {line_of(text, place)}: {key}{value}: must be letters, digits, spaces and . _ -"
     return f"line {line_of(text, place)}: {key}{value}: {sentence(item)}{hint}"
 
 

@@ -15,11 +15,13 @@ import numpy as np
 from hil.campaign.journal import Journal, kept_result
 from hil.campaign.plan import Plan, Run
 from hil.diagnostics import Diagnostic
-from hil.identification.result import interval
+from hil.identification.result import widened
 from hil.recording.reader import Recording
 from hil.uncertainty.random_effects import Drift, between, drift
 
 PARAMETERS = ("Kc", "Bc")
+BESIDE = ("Fc", "Fd", "mu", "gap")
+"""Friction and play, which a joint has only if its model has the term."""
 _NORMAL = 1.959964  # half a 95 % interval in standard errors
 _CHANCE = 0.05
 _STANDS_OUT = 3.5  # modified z-score (Iglewicz and Hoaglin 1993)
@@ -29,22 +31,29 @@ _FEWEST = 5  # values among which one can stand out
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """The value of one parameter with its 95 % interval, SI."""
+    """The value of one parameter with its 95 % interval, SI.
+
+    torque_uncertainty: relative standard uncertainty of the torque's scale, which `ci95` includes. highest: the upper
+    end of the interval if that scale is exact, None if `ci95` is that interval.
+    """
 
     value: float
     ci95: tuple[float, float]
     unit: str
+    torque_uncertainty: float = 0.0
+    highest: float | None = None
 
     @property
     def error(self) -> float:
-        """The standard error, computed from half the 95 % interval; never zero."""
-        return max((self.ci95[1] - self.value) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
+        """The standard error without the torque's scale, computed from half the 95 % interval; never zero."""
+        high = self.ci95[1] if self.highest is None else self.highest
+        return max((high - self.value) / _NORMAL, 1e-9 * abs(self.value), math.ulp(0.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
     """A run with the parameters that may be trusted. failure: why there is no recording or no result, otherwise "".
-    created: date of the recording. diagnostics: the warnings and errors of its result.
+    created: date of the recording. diagnostics: the warnings and errors of its result. beside: friction and play.
     """
 
     run: Run
@@ -52,6 +61,7 @@ class Measured:
     failure: str = ""
     created: str = ""
     diagnostics: tuple[Diagnostic, ...] = ()
+    beside: Mapping[str, Value] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +81,7 @@ class Line:
 
     measured: the runs. values: each parameter, pooled over the runs. repeats: for each parameter, whether the runs
     agree within their own errors; None if that cannot be decided. stands_out: the parameters that are outliers in the
-    hand.
+    hand. beside: friction and play, pooled.
     """
 
     joint: str
@@ -81,11 +91,17 @@ class Line:
     values: Mapping[str, Value]
     repeats: Mapping[str, bool | None]
     stands_out: Mapping[str, Outlier] = field(default_factory=dict)
+    beside: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         """The names of joint, pretension and profile, joined with commas."""
         return ", ".join(part for part in (self.joint, self.pretension, self.profile) if part)
+
+    @property
+    def missing(self) -> list[str]:
+        """The parameters that no run identifies."""
+        return [name for name in PARAMETERS if name not in self.values]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +118,8 @@ class Results:
 
     @property
     def complete(self) -> bool:
-        """Return whether every run has a result."""
-        return not self.failed
+        """Return whether every run has a result, and every line all parameters."""
+        return not self.failed and not any(line.missing for line in self.lines)
 
 
 def results(plan: Plan, journal: Journal) -> Results:
@@ -128,8 +144,12 @@ def _measured(plan: Plan, run: Run, journal: Journal) -> Measured:
     found = kept_result(run, plan.settings.model, plan.settings.trials)
     if found is None:
         return Measured(run, {}, "not identified yet")
-    values = {name: _value(one) for name, one in found["parameters"].items() if name in PARAMETERS and _usable(one)}
-    reasons = "; ".join(dict.fromkeys(one["message"] for one in found["errors"]))
+    scale = found.get("torque_scale", {}).get("uncertainty") or 0.0  # an old result has no such entry
+    usable = {name: _value(one, scale) for name, one in found["parameters"].items() if _usable(one)}
+    values = {name: usable[name] for name in PARAMETERS if name in usable}
+    beside = {name: usable[name] for name in BESIDE if name in usable}
+    texts = dict.fromkeys(one["message"] for one in found["errors"])
+    reasons = "; ".join(one for one in texts if not any(other != one and other in one for other in texts))
     with Recording(run.path) as recording:
         created = str(recording.attributes.get("created", ""))
     said = tuple(
@@ -137,31 +157,40 @@ def _measured(plan: Plan, run: Run, journal: Journal) -> Measured:
         for severity in ("errors", "warnings")
         for one in found[severity]
     )
-    return Measured(run, values, "" if values else reasons or "neither Kc nor Bc may be trusted", created, said)
+    return Measured(run, values, "" if values else reasons or "neither Kc nor Bc may be trusted", created, said, beside)
 
 
 def _usable(one: dict[str, Any]) -> bool:
     return bool(one.get("trusted")) and None not in (one["value"], *one["ci95"])
 
 
-def _value(one: dict[str, Any]) -> Value:
-    return Value(one["value"], (one["ci95"][0], one["ci95"][1]), one["unit"])
+def _value(one: dict[str, Any], scale: float) -> Value:
+    low, high = one["ci95"]
+    exact = one.get("ci95_without_torque_scale", (low, high))[1]
+    is_scaled = "N*m" in one["unit"]
+    return Value(one["value"], (low, high), one["unit"], scale if is_scaled else 0.0, exact)
 
 
 def _line(key: tuple[str, str, str], measured: Sequence[Measured]) -> Line:
-    values: dict[str, Value] = {}
-    repeats: dict[str, bool | None] = {}
-    for name in PARAMETERS:
-        known = [one.values[name] for one in measured if name in one.values]
-        repeats[name] = None
-        if len(known) == 1:
-            values[name] = known[0]
-        elif known:
-            pooled = between(np.array([one.value for one in known]), np.array([one.error for one in known]))
-            half = pooled.ci95[1] - pooled.value
-            values[name] = Value(pooled.value, interval(pooled.value, half, positive=True), known[0].unit)
-            repeats[name] = pooled.p_alike >= _CHANCE
-    return Line(*key, tuple(measured), values, repeats)
+    pooled = {name: _pooled([one.values[name] for one in measured if name in one.values]) for name in PARAMETERS}
+    beside = {name: _pooled([one.beside[name] for one in measured if name in one.beside])[0] for name in BESIDE}
+    return Line(
+        *key,
+        tuple(measured),
+        {name: value for name, (value, _) in pooled.items() if value is not None},
+        {name: agree for name, (_, agree) in pooled.items()},
+        beside={name: value for name, value in beside.items() if value is not None},
+    )
+
+
+def _pooled(known: Sequence[Value]) -> tuple[Value | None, bool | None]:
+    """Return the mean of a parameter over the runs, and whether they agree within their own errors; None if unknown."""
+    if len(known) < 2:
+        return (known[0] if known else None), None
+    pooled = between(np.array([one.value for one in known]), np.array([one.error for one in known]))
+    scale = max(one.torque_uncertainty for one in known)  # the stand's, and the same in all runs
+    ends = widened(pooled.value, pooled.ci95, scale)
+    return Value(pooled.value, ends, known[0].unit, scale, pooled.ci95[1]), pooled.p_alike >= _CHANCE
 
 
 def marked(lines: Sequence[Line]) -> list[Line]:

@@ -11,7 +11,11 @@ from typing import NoReturn
 def main() -> NoReturn:
     """Load the command line and run it. Ctrl-C ends the program with one line, also while it loads."""
     before = signal.signal(signal.SIGINT, _interrupted)
-    from hil.cli import app
+    try:
+        from hil.cli import app
+    except Exception as error:  # noqa: BLE001 - an incomplete installation raises anything
+        os.write(2, f"hil: {error}\nhil cannot be loaded: close other programs, or install hil again\n".encode())
+        os._exit(70)
 
     signal.signal(signal.SIGINT, before)
     app.main()

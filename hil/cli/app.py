@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import signal
@@ -25,7 +24,7 @@ from hil.cli.emulate import emulate
 from hil.cli.examples import Command, below_help, below_main_help
 from hil.cli.files import export_data, import_data, inspect, recover, view
 from hil.cli.identify import identify
-from hil.cli.many.campaign import campaign
+from hil.cli.many.campaign import campaign, hand
 from hil.cli.many.compare import compare
 from hil.cli.many.hysteresis import hysteresis
 from hil.cli.many.report import report
@@ -35,6 +34,7 @@ from hil.cli.replicate import replicate
 from hil.cli.stand import stand
 from hil.cli.terminal import (
     DONE,
+    INTERNAL_ERROR,
     INTERRUPTED,
     LIMIT_REACHED,
     STAND_FAILED,
@@ -44,7 +44,7 @@ from hil.cli.terminal import (
     out,
     say,
 )
-from hil.errors import Untrustworthy, WrongUse, proposing
+from hil.errors import Untrustworthy, WrongUse, is_shortage, proposing
 from hil.process_1 import leave_process_1
 from hil.stand.sentences import names_the_value, sentence
 
@@ -64,9 +64,7 @@ app = typer.Typer(
 
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # raised by typer for wrong options, not exported
 
-
-_NO_MORE = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN})  # open files, memory, processes
-
+_OPEN_FILES = 32  # files that hil has open at most: a recording, its ports, and the pipes to its processes
 _COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "identify": identify,
@@ -79,6 +77,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "export": export_data,
     "recover": recover,
     "campaign": campaign,
+    "hand": hand,
     "demo": demo,
     "studio": studio,
     "replicate": replicate,
@@ -137,6 +136,7 @@ def run(words: list[str]) -> int:
     """Run a command and return its exit status. "--debug" and "--quiet" may be anywhere among the words."""
     be_quiet("--quiet" in words)
     try:
+        _check_open_files()
         parsed = [word for word in words if word not in {"--debug", "--quiet"}]
         with on_the_command_line():
             answer = _commands().main(parsed, prog_name="hil", standalone_mode=False)
@@ -156,6 +156,19 @@ def run(words: list[str]) -> int:
     return answer if isinstance(answer, int) else DONE
 
 
+def _check_open_files() -> None:
+    """Raise WrongUse if this process may open too few files: libraries would then call a good recording damaged."""
+    try:
+        import resource
+    except ImportError:  # not POSIX
+        return
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if 0 <= limit < _OPEN_FILES:
+        raise WrongUse(
+            f"this computer lets hil open {limit} files, and hil needs {_OPEN_FILES}: ulimit -n {_OPEN_FILES}"
+        )
+
+
 def _usage(error: Exception) -> str:
     """Return an error in the options as one sentence. The texts of the library pydantic are replaced."""
     shown, raised, cause = io.StringIO(), cast("Any", error), cast("Any", error.__cause__)
@@ -168,6 +181,7 @@ def _usage(error: Exception) -> str:
 
 
 def _status_of(error: Exception) -> int:
+    """Return the exit status of an error; for one that is not the user's, print what to do."""
     from drivers.servo import DriverError
     from hil.acquisition.limits import LimitReached
 
@@ -177,9 +191,10 @@ def _status_of(error: Exception) -> int:
         return LIMIT_REACHED
     if isinstance(error, DriverError):
         return STAND_FAILED
-    if isinstance(error, OSError) and error.errno in _NO_MORE:
+    if isinstance(error, Untrustworthy):
+        return UNTRUSTWORTHY
+    if is_shortage(error):
         say("this computer has no more of that for hil: close other programs, or raise the limit (ulimit -n, -u, -v)")
         return WRONG_USE
-    if not isinstance(error, Untrustworthy):
-        say("this is a fault in hil itself: run the command again with --debug and report the output")
-    return UNTRUSTWORTHY
+    say("this is a fault in hil itself: run the command again with --debug and report the output")
+    return INTERNAL_ERROR

@@ -35,6 +35,7 @@ Yes = Annotated[bool, typer.Option("--yes", help="Ask and wait for nothing: for 
 @calibrate.command(epilog=below_help("calibrate torque"))
 def torque(
     stand: StandPath,
+    joint: options.Joint = None,
     arm: Annotated[float | None, options.measured("--arm", "length", "Length of the lever, m, or 50mm.")] = None,
     arm_uncertainty: Annotated[
         float, options.measured("--arm-uncertainty", "length", "Its standard uncertainty, m, or 0.5mm.")
@@ -54,11 +55,11 @@ def torque(
     from hil.api.calibration import read_loads, store_step, store_torque
     from hil.calibration.points import read_points
     from hil.calibration.session import opened_cell
+    from hil.hand.file import load_stand
     from hil.recording.output import check_output
-    from hil.stand.file import load
 
     check_output(stand, force=True)  # before the weights are hung
-    opened = load(stand)
+    opened = load_stand(stand, joint)
     clock = MonotonicClock()
     if step:
         with opened_cell(opened, clock) as cell:
@@ -66,14 +67,15 @@ def torque(
                 "hang a weight and let it come to rest; press Enter, then take it off at once within ten seconds",
                 yes=yes,
             )
-            _print_step(store_step(stand, cell, clock))
+            _print_step(store_step(stand, cell, clock, joint))
         return
     lever = None if arm is None else (arm, arm_uncertainty)
     if lever is not None and not (lever[0] > 0.0 and lever[1] >= 0.0):
         raise WrongUse(f"--arm {arm:g}, --arm-uncertainty {arm_uncertainty:g}: a lever is longer than 0")
     given = None if points is None else read_points(points, arm)
     if given is not None and all(one.value is not None for one in given):
-        _print_scale(*store_torque(stand, read_loads(opened, given, None, clock, lambda _: True), tare=0.0, arm=lever))
+        known = read_loads(opened, given, None, clock, lambda _: True)
+        _print_scale(*store_torque(stand, known, tare=0.0, arm=lever, joint=joint))
         return
     if given is None and yes:
         raise WrongUse("with --yes no weights are asked for: give them with --points FILE.csv")
@@ -85,12 +87,13 @@ def torque(
             measured = _guided(opened, lambda loads: read_loads(opened, loads, cell, clock, lambda _: True), arm)
         else:
             measured = read_loads(opened, given, cell, clock, lambda one: _wait(f"hang {one.name}", yes=yes))
-        _print_scale(*store_torque(stand, measured, tare=cell.tare, arm=lever))
+        _print_scale(*store_torque(stand, measured, tare=cell.tare, arm=lever, joint=joint))
 
 
 @calibrate.command(epilog=below_help("calibrate fixture"))
 def fixture(
     stand: StandPath,
+    joint: options.Joint = None,
     recording: Annotated[Path | None, typer.Option(help="Use this recording of the empty rig; drive nothing.")] = None,
     profile: options.Kind = "chirp",
     amplitude: options.Amplitude = None,
@@ -117,6 +120,7 @@ def fixture(
         run = runs.record(
             stand,
             profile,
+            joint=joint,
             amplitude=options.amplitude_of(amplitude, mode),
             band=options.band_of(band),
             duration=duration,
@@ -134,21 +138,22 @@ def fixture(
             raise typer.Exit(128 + run.outcome.signal)
         recording = run.path
     with progress() as show:
-        found = store_fixture(stand, recording, progress=show).identification
+        found = store_fixture(stand, recording, joint=joint, progress=show).identification
     kc, bc = found["Kc"], found["Bc"]
     out(f"the fixture has {kc.value:.4g} N m/rad and {bc.value:.3g} N m s/rad, from {recording}")
     print_diagnostics(found.diagnostics)
-    say(f"stored in [calibration.fixture] of {stand}; use it with: hil identify run.h5 --fixture {quoted(stand)}")
+    rig = stand if joint is None else recording
+    say(f"stored in [calibration.fixture] of {stand}; use it with: hil identify run.h5 --fixture {quoted(rig)}")
 
 
 @calibrate.command(epilog=below_help("calibrate zero"))
-def zero(stand: StandPath, yes: Yes = False) -> None:
+def zero(stand: StandPath, joint: options.Joint = None, yes: Yes = False) -> None:
     """Store the motor's angle at rest as the stand's zero. The torque is off; nothing is driven."""
     from hil.api.calibration import store_zero
     from hil.recording.output import check_output
 
     check_output(stand, force=True)
-    found = store_zero(stand, lambda what: _wait(what, yes=yes))
+    found = store_zero(stand, lambda what: _wait(what, yes=yes), joint)
     out(f"zero = {found.value:.6g} +- {1.96 * found.uncertainty:.2g} rad at the motor (95 %)")
     say(f"stored as stand.zero and [calibration.zero] in {stand}")
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def design(
     backend: options.Backend = None,
     stand: options.StandFile = None,
+    joint: options.Joint = None,
     kc: Annotated[
         float | None, options.measured("--kc", "stiffness", "A rough value, N m/rad [default: [sim.coupling]'s].")
     ] = None,
@@ -51,8 +52,9 @@ def design(
 
     with progress() as show:
         found = planning.design(
-            options.stand_of(backend, stand),
+            options.stand_of(backend, stand, joint),
             profile,
+            joint=joint,
             kc=kc,
             bc=bc,
             torque_noise=torque_noise,

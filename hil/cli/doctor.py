@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 def doctor(
     stand: Annotated[Path | None, typer.Argument(help="The stand file; without it: ports and interfaces.")] = None,
+    joint: options.Joint = None,
     move: Annotated[bool, typer.Option("--move", help="Jog the motor to check the signs and the lock.")] = False,
     amplitude: Annotated[
         str | None,
@@ -49,14 +50,14 @@ def doctor(
     from drivers.ports import can_interfaces, serial_ports
     from hil.doctor.checks import CheckList
     from hil.doctor.examine import examine
-    from hil.stand.file import load
+    from hil.hand.file import load_stand
 
     jog = options.amplitude_of(amplitude, mode)
     if jog is not None and not jog > 0.0:
         raise WrongUse(f"--amplitude {jog:g}: it must be above 0")
-    opened = None if stand is None else load(stand)
+    opened = None if stand is None else load_stand(stand, joint)
     ports, interfaces = serial_ports(), can_interfaces()
-    checks = CheckList()
+    checks = CheckList(on_alarm=say)
     if commission:
         _confirm(opened, yes=yes)
     if not as_json:

@@ -15,7 +15,7 @@ from hil.cli.terminal import out, say
 from hil.errors import WrongUse, proposing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from sim_backend.fault_plan import FaultPlan
     from sim_backend.parameters import SimParameters
@@ -28,25 +28,21 @@ def emulate(
     firmware: Annotated[str | None, typer.Option(help="The drive's firmware, where there are several.")] = None,
     ident: Annotated[list[int] | None, typer.Option("--id", help="Its id on the bus; repeat it for several.")] = None,
     link: Annotated[Path | None, typer.Option(help="The serial port to create: a symlink to a pty.")] = None,
-    bus: Annotated[str | None, typer.Option(help="The CAN bus: slcan, damiao (at --link), udp_multicast, ...")] = None,
+    bus: Annotated[str | None, typer.Option(help="slcan, damiao, robstride (at --link), udp_multicast, ...")] = None,
     channel: Annotated[str | None, typer.Option(help="The channel of --bus.")] = None,
     baudrate: Annotated[int | None, typer.Option(help="bit/s.")] = None,
     stand: options.StandFile = None,
+    hand: Annotated[Path | None, typer.Option(help="The file of a hand: all its servos, with their plants.")] = None,
     log: Annotated[
         Path | None, typer.Option(help="A new CSV file of the torque at every moment, which survives a kill.")
     ] = None,
     faults: options.Faults = None,
-    instant: Annotated[
-        bool, typer.Option("--instant", help="Answer at once: no time for the bytes on the wire.")
-    ] = False,
+    instant: Annotated[bool, typer.Option("--instant", help="Answer at once: the bytes take no time.")] = False,
     background: Annotated[
-        bool,
-        typer.Option(
-            "--background", help="Return as soon as the drive answers; print the id of the process that emulates it."
-        ),
+        bool, typer.Option("--background", help="Return as soon as the drive answers; print its process id.")
     ] = False,
 ) -> None:
-    """Emulate a drive on a port or bus until Ctrl-C, moving the simulated plant ([sim] of --stand).
+    """Emulate a drive, or a hand's servos, on a port or bus until Ctrl-C, moving the simulated plant ([sim]).
 
     With --background it answers until it is killed by the id that is printed, or until the terminal is closed.
 
@@ -63,6 +59,7 @@ def emulate(
     words: dict[str, Any] = {"model": model, "idents": ident, "link": link, "bus": bus, "channel": channel}
     words |= {"firmware": firmware, "baudrate": baudrate, "instant": instant or None}
     words |= {"parameters": _plant(stand), "faults": _plan(faults)}
+    words |= {} if hand is None else _hand(name, hand, words)
     given = {key: value for key, value in words.items() if value not in (None, [])}
     place = next((f" on {given[key]}" for key in ("link", "channel", "bus") if key in given), "")
     if log is not None:
@@ -73,7 +70,8 @@ def emulate(
         if log is not None:
             log.unlink()  # nothing was emulated
         raise WrongUse(proposing(str(error))) from None
-    what = f"Emulating {EMULATORS[name].noun}{f' {model.upper()}' if model else ''}{place}."
+    noun = EMULATORS[name].noun if hand is None else f"the {len(words['hand'])} servos of {hand}, each"
+    what = f"Emulating {noun}{f' {model.upper()}' if model else ''}{place}."
     if background and (process := _copied(served.stop)) is not None:
         say(f"{what} It ends with this terminal, or with: kill {process}")
         out(str(process))
@@ -88,6 +86,26 @@ def _plant(stand: Path | None) -> SimParameters | None:
     from hil.stand.file import load
 
     return None if stand is None else load(stand).simulated()
+
+
+def _hand(name: str, path: Path, words: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of an emulator with the servos of a hand. name: of the emulator. Raises WrongUse."""
+    from hil.hand.file import load
+    from sim_backend.wire.packets.servos import OnLine
+
+    if extra := [key for key in ("model", "idents", "parameters", "baudrate") if words[key]]:
+        named = {"idents": "id", "parameters": "stand"}
+        raise WrongUse(f"--hand takes no --{named.get(extra[0], extra[0])}: {path} says it for each joint")
+    servos, rates = [], set()
+    for joint in load(path).joints:
+        if joint.stand.stand.backend != name:
+            raise WrongUse(f"joint {joint.name} of {path} is no {name}: its backend is {joint.stand.stand.backend}")
+        table = joint.stand.devices[name]
+        servos.append(OnLine(table.model, table.id, joint.stand.simulated()))
+        rates.add(table.baudrate)
+    if len(rates) > 1:
+        raise WrongUse(f"{path}: the servos on one line have one baud rate, not {', '.join(map(str, sorted(rates)))}")
+    return {"hand": servos, "baudrate": rates.pop()}
 
 
 def _plan(faults: Path | None) -> FaultPlan | None:

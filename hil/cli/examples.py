@@ -33,6 +33,7 @@ EXAMPLES = MappingProxyType(
         "export": ("hil export run1.h5 -o run1.csv", "hil export run1.h5 -o finger.xml"),
         "recover": ("hil recover run1.h5.part",),
         "campaign": ("hil campaign examples/hand.toml --dry-run",),
+        "hand": ("hil hand hand.toml --dry-run", "hil hand hand.toml"),
         "demo": ("hil demo",),
         "studio": ("hil studio", "hil studio --port 0"),
         "replicate": ("hil replicate --trials 5 --evaluations 200000",),
@@ -54,6 +55,7 @@ STATUSES = (
     "2: wrong use; nothing was changed",
     "3: the stand or the drive failed",
     "4: a limit was reached; the torque is off and the rows are kept",
+    "70: hil itself failed (EX_SOFTWARE); neither the request nor the data is the cause",
     "130: interrupted with Ctrl-C (128 + the number of any other signal)",
 )
 """The meaning of each exit status."""

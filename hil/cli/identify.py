@@ -97,7 +97,7 @@ def identify(
         identify_each(recordings, model, common, required, as_json=as_json)
         return
     options.check_report(report, recordings, force=force)
-    _check_others(checkpoint, plot, recordings)
+    _check_others(checkpoint, plot, recordings, force=force)
     from hil.api.analysis import identify as identify_recordings
 
     with _failure_published(report, force=force, as_json=as_json), progress() as show:
@@ -106,17 +106,16 @@ def identify(
     _end(found, checkpoint, required, expected)
 
 
-def _check_others(checkpoint: Path | None, plot: Path | None, inputs: list[Path]) -> None:
+def _check_others(checkpoint: Path | None, plot: Path | None, inputs: list[Path], *, force: bool) -> None:
     """Raise WrongUse if the checkpoint or the folder of pictures cannot be written."""
     from hil.recording.output import check_output
-    from hil.report.pictures.canvas import check_matplotlib
-    from hil.report.pictures.files import make_picture_folder
+    from hil.report.pictures import result
+    from hil.report.pictures.files import check_pictures
 
     if checkpoint is not None:
         check_output(checkpoint, force=True, inputs=inputs)
     if plot is not None:
-        check_matplotlib()
-        make_picture_folder(plot)
+        check_pictures(plot, [f"{name}.png" for name in result.NAMES], force=force)
 
 
 def _end(
@@ -201,20 +200,9 @@ def _show_work(found: Identification, *, verbose: bool) -> None:
         out_table(table)
     detail(controller_line(found))
     out_table(report.repeatability_table(found))
-    _show_dynamic_stiffness(found)
+    if table := report.bands_table(found):
+        out_table(table)
     for line in report.identification_lines(found):
-        detail(line)
-
-
-def _show_dynamic_stiffness(found: Identification) -> None:
-    from hil.report.identification import bands_table
-    from hil.report.lack_of_fit import distortion_lines
-
-    table = bands_table(found)
-    if table is None:
-        return
-    out_table(table)
-    for line in distortion_lines(found.dynamic_stiffness):
         detail(line)
 
 

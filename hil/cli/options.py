@@ -20,7 +20,7 @@ LARGEST_SEED = 2**63 - 1
 DEFAULT_RATE = 500.0
 """The sampling rate without --rate, Hz."""
 ALL_CORES = os.cpu_count() or 1
-_HERE = Path("stand.toml")
+_HERE, _HAND_HERE = Path("stand.toml"), Path("hand.toml")
 
 
 def measured(option: str, dimension: str, text: str) -> Any:
@@ -50,6 +50,7 @@ Backend = Annotated[str | None, typer.Option(help="A stand that needs no stand f
 StandFile = Annotated[
     Path | None, typer.Option(help="The stand file [default: stand.toml in this folder, where there is one].")
 ]
+Joint = Annotated[str | None, typer.Option("--joint", help="The joint, if the stand file is that of a hand.")]
 Faults = Annotated[Path | None, typer.Option(help="A TOML file of faults that happen (docs/reliability.md).")]
 Kind = Annotated[str, typer.Option("--profile", help="The excitation; hil record --list-profiles explains them.")]
 Mode = Annotated[Quantity, typer.Option(help="Command torque or position.")]
@@ -65,6 +66,7 @@ Duration = Annotated[
     measured("--duration", "time", "s, or with a unit: '2 min' [default: 20, or the length of the set-point file]."),
 ]
 Rate = Annotated[float, measured("--rate", "frequency", "Samples per second, Hz.")]
+EvenRate = Annotated[float | None, measured("--rate", "frequency", "Rows per second, Hz, if no column has the time.")]
 Fade = Annotated[float, measured("--fade", "time", "s over which the excitation fades in and out.")]
 Trials = Annotated[
     int | None, typer.Option(min=1, help="Independent searches [default: 30; 5 with nonlinear parameters].")
@@ -122,9 +124,9 @@ ListModels = Annotated[
 ]
 
 
-def stand_of(backend: str | None, path: Path | None) -> str | Path:
+def stand_of(backend: str | None, path: Path | None, joint: str | None = None) -> str | Path:
     """Return the stand file, or "sim", from --backend or --stand. Without both, return the stand.toml in the working
-    directory, and print that.
+    directory, with --joint the hand.toml, and print that.
 
     Raises WrongUse.
     """
@@ -135,9 +137,12 @@ def stand_of(backend: str | None, path: Path | None) -> str | Path:
         raise WrongUse("give --backend or --stand, not both: a stand file names its own backend")
     if path is not None:
         return path
-    if backend is None and _HERE.is_file():
-        note(f"using {_HERE}, the stand file of this folder")
-        return _HERE
+    if backend is not None and joint is not None:
+        raise WrongUse(f"--joint {joint}: only the file of a hand has joints: --stand hand.toml")
+    here = _HERE if joint is None else _HAND_HERE
+    if backend is None and here.is_file():
+        note(f"using {here}, the {'stand file' if joint is None else 'hand'} of this folder")
+        return here
     if backend is None:
         raise WrongUse("which stand? --backend sim for the simulated one, --stand stand.toml for your own")
     if backend == "replay":

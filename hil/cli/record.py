@@ -13,6 +13,7 @@ from drivers.servo import Quantity
 from hil.cli import options
 from hil.cli.terminal import UNTRUSTWORTHY, asking, command_line, detail, out, print_diagnostics, print_json, say
 from hil.errors import WrongUse
+from hil.printable import quoted
 
 if TYPE_CHECKING:
     from hil.api.runs import Run
@@ -26,6 +27,7 @@ def record(
     recording: Annotated[Path | None, typer.Argument(help="With --backend replay: the recording to play back.")] = None,
     backend: options.Backend = None,
     stand: options.StandFile = None,
+    joint: options.Joint = None,
     profile: options.Kind = "chirp",
     amplitude: options.Amplitude = None,
     band: options.Band = None,
@@ -48,21 +50,20 @@ def record(
     list_backends: Annotated[bool, typer.Option("--list-backends", help="List the backends.")] = False,
 ) -> None:
     """Drive the motor against the locked joint and record torque, deflection and rate."""
-    from hil.api import runs
-
     if list_profiles or list_backends:
         _list_kinds(profiles=list_profiles)
         return
-    chosen = _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand)
-    duration = _length(recording, rate) if recording and duration is None else duration
+    from hil.api import runs
+
     if output is not None:
         _check_name(output, [stand, setpoints, faults], force=force)
-    run = runs.record(
-        chosen,
+    recorded = runs.record(
+        _replayed(recording, backend, stand) if recording else options.stand_of(backend, stand, joint),
         profile,
+        joint=joint,
         amplitude=options.amplitude_of(amplitude, mode),
         band=options.band_of(band),
-        duration=duration,
+        duration=_length(recording, rate) if recording and duration is None else duration,
         rate=rate,
         mode=mode,
         fade=fade,
@@ -81,7 +82,7 @@ def record(
         agree=asking(yes=yes),
         ended=partial(_print, as_json=as_json),
     )
-    _end(run)
+    _end(recorded)
 
 
 def _check_name(output: Path, inputs: list[Path | None], *, force: bool) -> None:
@@ -102,7 +103,7 @@ def _replayed(recording: Path, backend: str | None, stand: Path | None) -> Stand
     from hil.stand.replay import replayed
 
     if recording.suffix == ".toml" and stand is None:
-        raise WrongUse(f"{recording} looks like a stand file: hil record --stand {recording}")
+        raise WrongUse(f"{recording} looks like a stand file: hil record --stand {quoted(recording)}")
     if backend != "replay" or stand is not None:
         raise WrongUse(f"{recording}: a recording is played back with --backend replay, without --stand")
     return replayed(recording)
@@ -122,7 +123,7 @@ def _print(run: Run, *, as_json: bool) -> None:
         print_json(run.as_json())
     else:
         _print_line(run)
-    print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late"}])
+    print_diagnostics([one for one in run.diagnostics if one.code in {"file-moved", "many-late", "over-limit"}])
 
 
 def _print_line(run: Run) -> None:

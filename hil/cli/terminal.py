@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hil.diagnostics import Diagnostic
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
-INTERRUPTED = 130
+INTERNAL_ERROR, INTERRUPTED = 70, 130
 _SPELLED = str.maketrans({"\u00b1": "+/-", "\u00b5": "u", "\u00b7": "*", "\u2026": "..."})
 _LONGEST = 10_000  # characters of a line: the command to resume a search of many files has some thousand
 

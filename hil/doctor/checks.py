@@ -41,13 +41,13 @@ class LinkFigures:
     longest: float
 
 
-def _ignore(check: Check) -> None:
-    del check
+def _ignore(item: object) -> None:
+    del item
 
 
 @dataclass(slots=True)
 class CheckList:
-    """The checks made so far. on_check: called with each check when it has been made.
+    """The checks made so far. on_check: called with each check when it has been made. on_alarm: called with each alarm.
 
     keys: for each check, the keys of the stand file on which the check depends; an error names these keys. info:
     description of the drive. bus: speed of the link. Both are None if the checks ended before they were known. signal:
@@ -55,6 +55,7 @@ class CheckList:
     """
 
     on_check: Callable[[Check], None] = _ignore
+    on_alarm: Callable[[str], object] = _ignore
     keys: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     checks: list[Check] = field(default_factory=list)
     info: ServoInfo | None = None
@@ -82,3 +83,9 @@ class CheckList:
     def failed(self, name: str, message: str) -> None:
         """Append a check that failed; its verdict is an error."""
         self.add(name, Verdict.ERROR, message)
+
+    def alarm(self, sentence: str) -> None:
+        """Append the failed check "torque off", unless it has this message already, and call `on_alarm`."""
+        if sentence not in [check.message for check in self.checks]:
+            self.failed("torque off", sentence)
+            self.on_alarm(sentence)

@@ -14,7 +14,7 @@ from pathlib import Path
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
 from drivers.torque_off import confirm_torque_off
-from hil.acquisition.commissioning import Agree, require_agreement, require_release
+from hil.acquisition.commissioning import NOTHING_TURNS, Agree, require_agreement, require_release
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
 from hil.doctor.checks import CheckList, Verdict
@@ -22,13 +22,13 @@ from hil.doctor.commission import Report, commission
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.keys import keys_of
 from hil.doctor.link_check import check_link, check_readings, reachable
-from hil.doctor.stop_path import check_stop, check_watchdog
+from hil.doctor.stop_path import check_overload, check_stop, check_watchdog
 from hil.doctor.tune import tune
 from hil.errors import WrongUse
 from hil.guardian.servo import Watch
 from hil.stand.devices import check_backend, found_by_search, restrictions
 from hil.stand.file import LimitsTable, Stand
-from hil.stand.opening import open_servo, require_watchdog
+from hil.stand.opening import open_servo, refused_neighbours, require_watchdog
 from hil.stand.transmission import Transmission
 
 _WATCH = Watch(silence=0.25, longest=60.0)  # the torque is small here, and a slow computer is to be examined too
@@ -68,8 +68,10 @@ def examine(
     with StopRequest().listening() as stop:
         with _connected(checks, stand, mode) as servo:
             samples = [] if servo is None else check_link(checks, servo, rate, stop)
-            if servo is not None and samples and not stop.count and check_readings(checks, stand, samples):
+            ready = servo is not None and samples and not stop.count and check_readings(checks, stand, samples)
+            if servo is not None and ready and _check_neighbours(checks, stand, servo) and not stop.count:
                 limits = Transmission.of(stand.stand).motor_limits(stand.checked_limits(), samples[-1].motor_position)
+                check_overload(checks, servo, limits)
                 check_stop(checks, servo, limits, mode)
                 if move and not stop.count:
                     _move(checks, stand, servo, (mode, size, rate), stop)
@@ -138,10 +140,21 @@ def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Serv
             servo.close()
 
 
+def _check_neighbours(checks: CheckList, stand: Stand, servo: Servo) -> bool:
+    """Check that no other drive on the bus holds torque. Return whether the drive may be armed. Raises DriverError."""
+    refused = refused_neighbours(stand, servo)
+    if refused:
+        checks.failed("neighbours", "; ".join(refused))
+    elif refused is not None:
+        checks.passed("neighbours", "no other drive of its kind on the bus holds torque")
+    elif stand.stand.backend not in NOTHING_TURNS:
+        message = "drives of this kind cannot be asked: before anything moves, make sure that no other one holds torque"
+        checks.add("neighbours", Verdict.SKIPPED, message)
+    return not refused
+
+
 def _torque_off(checks: CheckList, servo: Servo) -> None:
-    result = confirm_torque_off(servo)
-    if not result.confirmed:
-        checks.failed("torque off", result.alarm)
+    result = confirm_torque_off(servo, alarm=checks.alarm)
     if result.error is not None and not isinstance(result.error, Exception):
         raise result.error
 
@@ -182,7 +195,7 @@ def _move(
         return
     if checks.bus is not None:
         rate = reachable(checks.bus, rate)
-    outcome, jog = run_jog(stand, servo, mode, stop, amplitude=size, rate=rate)
+    outcome, jog = run_jog(stand, servo, mode, stop, amplitude=size, rate=rate, alarm=checks.alarm)
     if outcome.error is not None:
         checks.failed("move", str(outcome.error))
     elif jog is None:

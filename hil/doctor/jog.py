@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.servo import Quantity, Servo
+from drivers.torque_off import Alarm
 from hil.acquisition import excitation
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.phases import Outcome
@@ -82,12 +83,12 @@ class Jog:
 
 
 def run_jog(
-    stand: Stand, servo: Servo, mode: Quantity, stop: StopRequest, *, amplitude: float, rate: float
+    stand: Stand, servo: Servo, mode: Quantity, stop: StopRequest, *, amplitude: float, rate: float, alarm: Alarm
 ) -> tuple[Outcome, Jog | None]:
     """Drive two swings of `amplitude` N m or rad at the joint, at `rate` Hz, with the recorder and its guard.
 
-    The servo is disarmed on return. Return the outcome of the run, and the readings; the readings are None if there
-    were too few replies.
+    The servo is disarmed on return. alarm: see `confirm_torque_off`. Return the outcome of the run, and the readings;
+    the readings are None if there were too few replies.
     """
     profile = excitation.make(
         "sine",
@@ -100,7 +101,7 @@ def run_jog(
         fade=_FADE,
     )
     rows = Memory()
-    outcome = Recorder(stand, servo, profile, rate, rows).run(stop)
+    outcome = Recorder(stand, servo, profile, rate, rows, alarm=alarm).run(stop)
     if outcome.error is not None or outcome.samples - outcome.lost < tick_count(profile, rate) // 2:
         return outcome, None
     return outcome, _evaluated(rows, stand, mode)

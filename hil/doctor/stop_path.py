@@ -6,8 +6,12 @@ from __future__ import annotations
 
 import math
 
+from drivers.overload import HasOverload
+from drivers.retry import retry
 from drivers.servo import BadReply, Command, DeviceFault, Limits, NoReply, Quantity, Sample, Servo, UnsafeCommand
+from drivers.torque_off import confirm_torque_off
 from hil.doctor.checks import CheckList, Verdict
+from hil.stand.opening import innermost
 
 _STILL_COUNTS = 5.0  # that a drive armed at zero torque may be off from where it was
 _BEYOND = 0.1  # s of silence beyond the drive's watchdog
@@ -24,6 +28,19 @@ def answered(servo: Servo) -> Sample:
     return servo.exchange(Command.rest())
 
 
+def check_overload(checks: CheckList, servo: Servo, limits: Limits) -> None:
+    """Warn if the drive protects itself from a load that the limits of the stand allow. Raises DriverError."""
+    inner = innermost(servo)
+    overload = retry(lambda: inner.overload(limits)) if isinstance(inner, HasOverload) else None
+    if overload is not None and limits.torque > overload.torque:
+        message = (
+            f"limits.torque lets the motor make {limits.torque:.3g} N m, and {overload.torque:.3g} N m is an overload: "
+            f"{overload.acts}. A slow or long excitation so large would end the run, or make Kc wrong: keep "
+            f"--amplitude below it, or {overload.remedy}"
+        )
+        checks.add("overload", Verdict.WARNING, message)
+
+
 def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) -> None:
     """Arm the drive without a set-point, switch the torque off, and check that the drive refuses a set-point
     afterwards.
@@ -34,7 +51,7 @@ def check_stop(checks: CheckList, servo: Servo, limits: Limits, mode: Quantity) 
     servo.arm(limits)
     for _ in range(_TRIES):
         answered(servo)
-    servo.disarm()
+    _switch_off(checks, servo)
     low, high = limits.position
     # a drive that accepts this is broken: as little as possible
     least = 1e-3 * limits.torque if mode is Quantity.TORQUE else 0.5 * (low + high)
@@ -73,4 +90,11 @@ def check_watchdog(checks: CheckList, servo: Servo, limits: Limits) -> None:
     else:
         silence = f"{period + _BEYOND:g} s of silence"
         checks.failed("watchdog", f"the drive was still armed after {silence}: keep a switch for its power at hand")
-    servo.disarm()
+    _switch_off(checks, servo)
+
+
+def _switch_off(checks: CheckList, servo: Servo) -> None:
+    """Switch the torque off. If the drive does not confirm it, give the alarm and raise the error."""
+    result = confirm_torque_off(servo, alarm=checks.alarm)
+    if result.error is not None:
+        raise result.error

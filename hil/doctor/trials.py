@@ -216,9 +216,7 @@ def make_trial(checks: CheckList, stand: Stand, mode: Quantity, name: str, trial
         return _made(checks, stand, mode, (servo, trial))
     finally:
         try:
-            result = confirm_torque_off(servo)
-            if not result.confirmed:
-                checks.failed("torque off", result.alarm)
+            confirm_torque_off(servo, alarm=checks.alarm)
         finally:
             servo.close()
 
@@ -233,11 +231,9 @@ def _made(checks: CheckList, stand: Stand, mode: Quantity, what: tuple[Servo, Tr
     )
     profile = _profile(mode, goal if mode is Quantity.TORQUE else LOAD * limits.deflection)
     with StopRequest().listening(goes_on=True) as stop:
-        outcome = Recorder(stand, tried, profile, _RATE, Memory()).run(stop)
+        outcome = Recorder(stand, tried, profile, _RATE, Memory(), alarm=checks.alarm).run(stop)
         made = tried.made
-        if outcome.alarm:
-            checks.failed("torque off", outcome.alarm)
-        elif math.isfinite(tried.began):
+        if not outcome.alarm and math.isfinite(tried.began):
             made = _after_off(checks, tried, made, outcome.phases)
     if stop.count > (_SIGNALS if what[1] is try_second_signal and math.isfinite(tried.began) else 0):
         checks.signal = stop.number
@@ -265,7 +261,7 @@ def _after_off(checks: CheckList, tried: _TriedServo, made: Trial | None, phases
     tried.clock.sleep_until(tried.clock.now() + _SETTLES)
     left = tried.load.left([read(tried)])
     if left.measured and not left.releases:
-        checks.failed("torque off", f"CUT THE POWER: the drive confirmed torque-off and still makes {left.words}")
+        checks.alarm(f"CUT THE POWER: the drive confirmed torque-off and still makes {left.words}")
     return Trial(left, off_at - tried.began) if made is None else made
 
 

@@ -132,7 +132,7 @@ def _answered(servo: Servo) -> bool:
 def _adapter(stand: Stand) -> str:
     """Return the name of the serial adapter in /sys, "" if the stand has no serial port."""
     table = stand.devices.get(str(stand.stand.backend))
-    serial = getattr(table, "interface", None) in {"slcan", "damiao"}
+    serial = getattr(table, "interface", None) in {"slcan", "damiao", "robstride"}
     port = getattr(table, "channel" if serial else "port", None)
     return Path(port).resolve().name if isinstance(port, str) else ""
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,14 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse, meant
-from hil.exchange import bags, headings
-from hil.exchange.readers import formats
+from hil.exchange import headings
+from hil.exchange.expression import Term, terms
+from hil.exchange.readers import bags, formats
 from hil.exchange.readers.columns import numbers
 from hil.exchange.row_filter import RowFilter
 from hil.exchange.text import rows
 from hil.printable import quoted
 from hil.recording.input import bounded
 
+_SIGNED = re.compile(r"[^\W\d]\w*(?:[-+/]\w+)+")  # a name that is a sum, if no column has it
+_TEXTS = 64  # at most in a column that names the rows
+_MOST = 1000  # columns whose headings may have units, or signs in their names
 _INDEXED = re.compile(r"[A-Za-z]+([\[._]?\d+\]?)(?=\s|$)")
 Answer = TypeVar("Answer")
 Array = NDArray[np.float64]
@@ -28,26 +33,55 @@ Rows = NDArray[np.int64]
 Filters = Sequence[tuple[int, RowFilter]]
 
 
+class UnequalLengths(WrongUse):
+    """The columns that are read do not have one length: they are of two tables. lengths: by heading."""
+
+    def __init__(self, message: str, lengths: Mapping[str, int]) -> None:
+        super().__init__(message)
+        self.lengths = lengths
+
+
+class NoCommonRow(WrongUse):
+    """Torque and deflection stand in different rows. second: the channels in the rows of the deflection."""
+
+    def __init__(self, message: str, second: Sequence[str]) -> None:
+        super().__init__(message)
+        self.second = second
+
+
 @dataclass(frozen=True, slots=True)
 class Table:
     """A table of any format.
 
     titles: headings. reader: function that reads columns by their indices. lost: what could not be read, as sentences,
-    after `read`.
+    after `read`. above: the lines of a text above its rows. labels: function that returns the texts in columns that
+    hold a few texts again and again. stamps: headings of the columns whose texts were dates or times of day, after
+    `read`: they are in s.
     """
 
     source: Path
     titles: Sequence[str]
     reader: Callable[[Sequence[int], Filters], tuple[Array, Rows]]
     lost: list[str] = field(default_factory=list)
+    above: Sequence[str] = ()
+    labels: Callable[[], Mapping[str, Collection[str]]] = dict
+    stamps: Collection[str] = ()
 
     def has(self, name: str) -> bool:
         """Return whether a column has this name, with or without a unit."""
-        return any(name == title or name in headings.names(title) for title in self.titles)
+        return name in self.titles or any(name in headings.names(title) for title in self.titles[:_MOST])
 
     def place(self, name: str) -> int:
         """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
         return place(self.source, self.titles, name)
+
+    def terms(self, text: str) -> list[Term]:
+        """Return the columns of a sum with their factors. Raises WrongUse."""
+        known = {name for title in self.titles[:_MOST] for name in (title, *headings.names(title))}
+        signed = [name for name in known if _SIGNED.fullmatch(name)]
+        if _SIGNED.fullmatch(text) and not any(map(self.has, [text, *re.split("[-+/]", text)])):
+            self.place(text)  # a path that is not there, rather than a sum of columns that are not
+        return terms(text, self.place, self.has, signed)
 
     def read(self, wanted: Sequence[str], where: Sequence[RowFilter]) -> tuple[Array, Rows]:
         """Return the columns `wanted`, (columns, n), of the rows that pass every filter, and the row numbers, (n,).
@@ -77,32 +111,56 @@ class Table:
 
 
 def open_table(
-    source: Path, *, topic: str | None = None, joint: str | None = None, asked: Collection[str] = ()
+    source: Path,
+    *,
+    topic: str | None = None,
+    joint: str | None = None,
+    asked: Collection[str] = (),
+    several: bool = False,
 ) -> Table:
     """Return the table in a file.
 
     topic: a topic of a bag, or the sheet of a workbook. joint: a joint of a bag. asked: names of columns, which the
-    line of headings in a text must contain. Raises WrongUse.
+    line of headings in a text must contain. several: whether further topics are read, with one zero of the time. Raises
+    WrongUse.
     """
     if bags.is_bag(source):
-        found = bags.columns(source, topic, joint)
-        return Table(
-            source, list(found), partial(_read, source, list(found), lambda names: [found[one] for one in names])
-        )
+        found, missing = bags.columns(source, topic, joint, several=several)
+        stamps = set[str]()
+        loader = partial(_read, (source, list(found)), lambda names: [found[one] for one in names], stamps)
+        return Table(source, list(found), loader, missing, stamps=stamps)
     kind = formats.kind_of(source)
     if joint is not None or (topic is not None and kind != formats.WORKBOOK):
         raise WrongUse(f"{source} is no bag and has no topics or joints: leave out --topic and --joint")
     if kind not in {formats.TEXT, formats.WORKBOOK}:
         titles, read = formats.columns(source, kind)
-        return Table(source, titles, partial(_read, source, titles, read))
-    titles, lost = _bounded_if_packed(source, partial(rows.titles, source, asked, topic)), list[str]()
+        stamps = set[str]()
+        loader = partial(_read, (source, titles), read, stamps)
+        return Table(source, titles, loader, labels=partial(_labels, titles, read), stamps=stamps)
+    form, lost = _bounded_if_packed(source, partial(rows.form, source, asked, topic)), list[str]()
 
     def read_text(wanted: Sequence[int], filters: Filters) -> tuple[Array, Rows]:
-        found = _bounded_if_packed(source, partial(rows.read, source, asked, wanted, filters, sheet=topic))
+        found = _bounded_if_packed(source, partial(rows.read, source, form, asked, wanted, filters, sheet=topic))
         lost[:] = found.lost
         return found.numbers, found.places
 
-    return Table(source, titles, read_text, lost)
+    return Table(source, form.names, read_text, lost, form.top, lambda: form.labels)
+
+
+def has_topics(source: Path) -> bool:
+    """Return whether a file is a bag or a workbook, whose tables are chosen by name."""
+    return bags.is_bag(source) or formats.kind_of(source) == formats.WORKBOOK
+
+
+def _labels(titles: Sequence[str], load: Callable[[Sequence[str]], list[Any]]) -> Mapping[str, Collection[str]]:
+    found = {}
+    for title in titles[:_MOST]:
+        with suppress(WrongUse):
+            values = np.asarray(load([title])[0])
+            texts = set(values.astype(str).tolist()) if values.dtype.kind in "UO" else set()
+            if 0 < len(texts) <= min(_TEXTS, len(values) // 2):
+                found[title] = texts
+    return found
 
 
 def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
@@ -113,7 +171,7 @@ def _bounded_if_packed(source: Path, work: Callable[[], Answer]) -> Answer:
 def place(source: Path, known: Sequence[str], name: str) -> int:
     """Return the index of the column `name`; "tau" also finds "tau [mN m]". Raises WrongUse."""
     at = [index for index, title in enumerate(known) if title == name]
-    at = at or [index for index, title in enumerate(known) if name in headings.names(title)]
+    at = at or [index for index, title in enumerate(known[:_MOST]) if name in headings.names(title)]
     if len(at) > 1:
         raise WrongUse(f"{source} has {len(at)} columns named {name!r}: rename all but one")
     if at:
@@ -128,22 +186,29 @@ def place(source: Path, known: Sequence[str], name: str) -> int:
 
 
 def _read(
-    source: Path,
-    known: Sequence[str],
+    named: tuple[Path, Sequence[str]],
     load: Callable[[Sequence[str]], list[Any]],
+    stamps: set[str],
     wanted: Sequence[int],
     filters: Filters,
 ) -> tuple[Array, Rows]:
-    """Return the columns `wanted` and the row numbers of a file that `load` reads as a whole."""
-    needed = list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
+    """Return the columns `wanted` and the row numbers of a file that `load` reads as a whole. stamps: gets the headings
+    of texts that are dates or times.
+    """
+    (source, known), needed = named, list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
     read = dict(zip(needed, load([known[at] for at in needed]), strict=True))
     lengths = {known[at]: len(values) for at, values in read.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise WrongUse(f"{source}: columns of unequal length ({listed}): name columns of one table")
+        raise UnequalLengths(
+            f"{source}: columns of unequal length ({listed}), so they are of several tables: name columns of one, or "
+            f"of two, and the time of the second: --join {quoted(source)} --join-time NAME",
+            lengths,
+        )
 
     def as_numbers(at: int) -> Array:
-        found = numbers(read[at])
+        found, is_stamp = numbers(read[at])
+        stamps.update([known[at]] if is_stamp else [])
         if found is None:
             raise WrongUse(f"{source}: column {known[at]!r} does not hold numbers")
         return found

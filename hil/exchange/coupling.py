@@ -44,7 +44,7 @@ class Coupling:
         """Return the warning about terms that a simulator's joint does not support: all except stiffness, damping and
         friction.
         """
-        terms = [term for term in self.model.split("+") if term not in _REPRESENTED]
+        terms = unrepresented(self.model)
         if not terms:
             return []
         message = (
@@ -52,6 +52,11 @@ class Coupling:
             "simulation with Kc and Bc alone differs by these; export as JSON to keep them"
         )
         return [Diagnostic("terms-left-out", message)]
+
+
+def unrepresented(model: str) -> list[str]:
+    """Return the terms of a model, its terms joined with +, for which a simulator's joint or tendon has no place."""
+    return [term for term in model.split("+") if term not in _REPRESENTED]
 
 
 def of_result(path: Path) -> Coupling:

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 from hil.errors import WrongUse, meant
 from hil.exchange import models
-from hil.exchange.bags import JOINT_STATE, SAMPLE
 from hil.exchange.coupling import Coupling
 from hil.exchange.headings import heading
 from hil.exchange.readers.arrow import parquet
+from hil.exchange.readers.bags import JOINT_STATE, SAMPLE
 from hil.recording.channels import CHANNELS, ROW
 from hil.recording.interval import Given
 from hil.recording.output import atomic_write

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,16 +30,19 @@ Sum = dict[tuple[str, str | None], float]  # the factor of each column, by name 
 _NUMBER = ("", None)
 
 
-def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) -> list[Term]:
+def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool], signed: Sequence[str] = ()) -> list[Term]:
     """Return the columns of a sum with their factors; a text that is the name of a column is that column.
 
-    place, has: functions of a column's name: its index, and whether the table has it. Raises WrongUse for a column that
-    is not there, a division by zero or by a column, a number without a unit in the sum, and for anything but + - * /.
+    signed: names of columns with signs in them, which are names in a sum too. place, has: functions of a column's name:
+    its index, and whether the table has it. Raises WrongUse for a column that is not there, a division by zero or by a
+    column, a number without a unit in the sum, and for anything but + - * /.
     """
     if has(text):
         return [Term(text, None, 1.0)]
     if len(text) > _LONGEST:
         raise WrongUse(f"{text[:40]!r}... has {len(text)} characters, more than {_LONGEST}: {_GRAMMAR}")
+    for name in sorted(signed, key=len, reverse=True):  # x-axis
+        text = re.sub(rf"(?<![\w'\"\[.]){re.escape(name)}(?![\w'\"(.])", lambda found: repr(found[0]), text)
     try:
         tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, MemoryError, RecursionError):
@@ -50,6 +54,11 @@ def terms(text: str, place: Callable[[str], int], has: Callable[[str], bool]) ->
     if _NUMBER in found or not all(map(math.isfinite, found.values())):
         raise WrongUse(f"{text!r} is not a sum of columns with finite factors: {_GRAMMAR}")
     return [Term(*key, factor) for key, factor in found.items()]
+
+
+def quoted_name(name: str) -> str:
+    """Return the name of a column as it is written in a sum."""
+    return name if name.isidentifier() else repr(name)
 
 
 @dataclass(frozen=True, slots=True)

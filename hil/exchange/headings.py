@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 
 from hil import units
@@ -23,12 +24,13 @@ _NAMED = re.compile(r"^(?:time|timestamp|torque|angle|position|velocity)(?=[a-zA
 _NO_UNITS = re.compile(r"(?<![a-z])(?:rotation|cycles?|num)(?![a-z])", re.IGNORECASE)  # they say what moves
 _NAME = re.compile(
     r"(?:milli|micro|nano|centi|kilo)?"
-    r"(?:second|minute|hour|degree|radian|turn|revolution|rotation|newton|met[er]{2}|inche?|foot|feet|pound|ounce|gram)",
+    r"(?:second|minute|hour|day|degree|radian|turn|revolution|rotation|newton|met[er]{2}|inche?|foot|feet|pound|ounce|gram)",
     re.IGNORECASE,
 )
 _WORDS = frozenset({"min", "rev", "in", "h", "hr"})  # of other meaning too: the least, the reverse, ...
+_MARKS: Mapping[str, set[str]] = MappingProxyType({"s": {"in", "_", " "}, "d": {"in"}})  # before a unit of one letter
 _SIMPLE = frozenset({"time", "angle"})  # no product of other units: "gm/ns" would be a time
-_RARER: Mapping[str, tuple[str, ...]] = MappingProxyType({"time": ("h",), "angle": ("arcmin", "arcsec")})
+_RARER: Mapping[str, tuple[str, ...]] = MappingProxyType({"time": ("h", "d"), "angle": ("arcmin", "arcsec")})
 
 
 def heading(channel: str) -> str:
@@ -42,10 +44,11 @@ def listed(titles: Sequence[str]) -> str:
     return ", ".join(titles[:_SHOWN]) + more
 
 
-def names(title: str) -> list[str]:
+@lru_cache(maxsize=4096)
+def names(title: str) -> tuple[str, ...]:
     """Return the names by which a column can be found apart from its whole heading: the heading without the unit."""
     ends = [name for name, text, mark in _at_the_end(title) if name and _dimensions(text, mark, name)]
-    return list(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
+    return tuple(dict.fromkeys([*(name for name, _ in _in_brackets(title)), *ends]))
 
 
 def unit_of(title: str, dimension: str) -> str | None:
@@ -86,6 +89,7 @@ def is_unit(text: str) -> bool:
 _DIMENSIONS = (*units.SI, *units.LEVER, "current", "voltage")
 
 
+@lru_cache(maxsize=4096)
 def _is_of(dimension: str, text: str) -> bool:
     """Return whether a text in brackets is a unit of a dimension. A text that may be a word counts only if the unit is
     common: "gin" and "inn" could mean g*in and in*N.
@@ -101,6 +105,7 @@ def _is_usual(dimension: str, factor: float) -> bool:
     return any(math.isclose(factor, units.factor(dimension, one), rel_tol=1e-9) for one in usual)
 
 
+@lru_cache(maxsize=4096)
 def _counts(dimension: str, text: str, mark: str) -> bool:
     """Return whether the end of a heading is a unit of a dimension.
 
@@ -114,7 +119,7 @@ def _counts(dimension: str, text: str, mark: str) -> bool:
             return False
     if (mark != "in" and text.lower() in _WORDS) or (mark == " " and text == "us"):
         return False
-    if len(text) == 1 and mark not in ({"in", "_", " "} if text.lower() == "s" else {"in", "_"}):
+    if len(text) == 1 and mark not in _MARKS.get(text.lower(), {"in", "_"}):
         return False
     return _is_of(dimension, text) and (mark == "in" or _is_usual(dimension, units.factor(dimension, text)))
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from hil.errors import WrongUse
 from hil.exchange.columns import Table
-from hil.exchange.expression import terms
 from hil.signals import constants as c
 
 Array = NDArray[np.float64]
@@ -21,6 +20,8 @@ Part = tuple[Path, dict[str, Array]]
 """One of the files: its name, and each of its channels, in SI, in the order of time, (n,)."""
 
 _GAP: Final = 3.5  # times between two readings, in which one or two may be missing
+_DRIFTS: Final = 6.0  # standard errors, from which a drift of the clocks is one
+_FASTEST: Final = 2e-3  # s/s, largest drift of two clocks
 _EXPLAINED: Final = 0.3  # of the torque's power, which no deflection of another run explains
 _PIECES: Final = 8  # of the common time: the scatter of their own shifts gives the error
 _COMMON: Final = 0.5  # of the shorter file, which lies in both
@@ -52,7 +53,7 @@ def side(name: str, first: Table, second: Table) -> tuple[Table, str]:
     found = []
     for table in (first, second):
         with suppress(WrongUse):
-            terms(name, table.place, table.has)
+            table.terms(name)
             found.append(table)
     if len(found) == 2:
         raise WrongUse(
@@ -112,6 +113,12 @@ def _change(one: Part, two: Part) -> tuple[float, str]:
             "the torque's power, which is that of another run: name files of one run"
         )
     step = max(float(np.median(np.diff(part[1]["time"]))) for part in (one, two))
+    if shift.drift:
+        faster = shift.drift if load[0] is two else -shift.drift
+        raise WrongUse(
+            f"{both} drift apart by {1e6 * faster:.0f} ppm, so no constant shift fits and Bc would be wrong: scale the "
+            f"times of {two[0].name}, --join-time '{1.0 + faster:.6f}*NAME', with the name of its time"
+        )
     if not shift.error < c.TICK_SHARE * step:
         raise WrongUse(
             f"{both} cannot be compared well enough: the shift has a standard error of {1e3 * shift.error:.2g} ms, "
@@ -156,12 +163,14 @@ def _at(wanted: Array, time: Array, values: Array, name: str) -> Array:
 @dataclass(frozen=True, slots=True)
 class _Shift:
     """The shift to add to the torque's clock, s, and its standard error, s, which is also large if the clocks drift
-    apart. explained: the fraction of the torque's power that deflection and rate explain after the shift.
+    apart. explained: the fraction of the torque's power that deflection and rate explain after the shift. drift:
+    how fast the shift grows, s/s, if it changes by more than an age that Bc tolerates; else 0.
     """
 
     seconds: float
     error: float
     explained: float
+    drift: float = 0.0
 
 
 def _shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> _Shift:
@@ -175,7 +184,7 @@ def _shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> _Shift
     coarse, explained = _coarse(step, time, dtheta, other, torque)
     grid, load, angle, highest = _filtered(step, time, dtheta, other + coarse, torque)
 
-    def misfits(shift: float) -> Array:
+    def misfits(shift: float | Array) -> Array:
         """Return the sum of the squared residuals in each piece; inf if the damping is negative."""
         near, rate = angle(grid + shift), angle(grid + shift, 1)
         friction = np.tanh(10.0 * rate / rate.std())
@@ -189,7 +198,20 @@ def _shift_of(time: Array, dtheta: Array, other: Array, torque: Array) -> _Shift
     tried = np.arange(-_AROUND / highest, _AROUND / highest, step)
     best = float(tried[np.argmin([misfits(one).sum() for one in tried])])
     own, best = _refined(misfits, best, step)
-    return _Shift(coarse + best, float(np.std(own, ddof=1)) / _PIECES**0.5, explained)
+    apart = grid - grid.mean()
+    drift = _drift(lambda drift: float(misfits(best + drift * apart).sum()), 2.0 * highest * float(np.ptp(grid)))
+    matters = abs(drift) * float(apart.max()) > c.TICK_SHARE * step
+    return _Shift(coarse + best, float(np.std(own, ddof=1)) / _PIECES**0.5, explained, drift if matters else 0.0)
+
+
+def _drift(misfit: Callable[[float], float], samples: float) -> float:
+    """Return the drift between two clocks, s/s, that fits best; 0 if it is not significant. misfit: sum of squares as a
+    function of the drift. samples: the number of independent residuals.
+    """
+    from scipy.optimize import minimize_scalar
+
+    found = minimize_scalar(misfit, bounds=(-_FASTEST, _FASTEST), method="bounded", options={"xatol": 1e-7})
+    return float(found.x) if (misfit(0.0) - found.fun) * samples > _DRIFTS**2 * found.fun else 0.0
 
 
 def _refined(misfits: Callable[[float], Array], shift: float, width: float) -> tuple[Array, float]:

@@ -54,8 +54,9 @@ def columns(
     """Return the values in nested rows as columns. A value that a row lacks is NaN.
 
     rows: each with its stamp, ns. joint: return only values with this name in their path; their headings are the last
-    part of the path, where that is unique. alone: if there is only one name, treat it as `joint`. beside: names that
-    stand beside all rows. Raises WrongUse for more than 10,000 columns.
+    part of the path, where that is unique. alone: if there is only one name, treat it as `joint`; keep the values of
+    other names beside those of `joint`, which show whether other joints moved too. beside: names that stand beside all
+    rows. Raises WrongUse for more than 10,000 columns.
     """
     stamps, kept, joints, read = array("q"), dict[tuple[str, ...], Any](), dict[str, None](), 0
     for stamp, row in rows:
@@ -63,8 +64,9 @@ def columns(
         values = list(_values((), (), row, beside or {}))
         beside = {**(beside or {}), **names_of((_fields(row) or {}).values())}  # some send the names only once
         joints.update((one.named[0], None) for one in values if one.named)
-        if joint is not None and not (values := [one for one in values if joint in one.named]):
+        if joint is not None and not (own := [one for one in values if joint in one.named]):
             continue
+        values = values if joint is None or alone else own
         for one in values:
             column = kept.setdefault(one.path, array("d"))
             column.extend([math.nan] * (len(stamps) - len(column)))

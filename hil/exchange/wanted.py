@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 from hil import units
 from hil.errors import WrongUse
 from hil.exchange.columns import Table
-from hil.exchange.expression import terms
 from hil.exchange.headings import bracketed_text, unit_of
 
 DIMENSION: Mapping[str, str] = MappingProxyType(
@@ -67,7 +66,7 @@ def parts_of(table: Table, channel: str, column: Column) -> tuple[str, list[Part
 
     Raises WrongUse for a column that is not there, for an unknown unit, and if option and heading state two units.
     """
-    found = [(one, table.titles[table.place(one.column)]) for one in terms(column.name, table.place, table.has)]
+    found = [(one, table.titles[table.place(one.column)]) for one in table.terms(column.name)]
     first, title = found[0]
     dimension = DIMENSION.get(channel) or dimension_of_command(title, first.unit or column.unit)
     return dimension, [

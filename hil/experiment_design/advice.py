@@ -5,13 +5,13 @@ excitation.
 from __future__ import annotations
 
 import math
-import shlex
 
 from drivers.servo import Quantity
 from ga.model.terms import TERMS
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import Assessment, Task
+from hil.printable import quoted
 from hil.signals import constants as c
 from hil.uncertainty.criteria import distinguishable, narrow
 
@@ -174,7 +174,7 @@ def command(judged: Assessment, stand: str, rate: float) -> str:
     profile = judged.profile
     words = f"hil record {stand} --profile {profile.kind}"
     if profile.setpoints:
-        words += f" --setpoints {shlex.quote(profile.setpoints)}"
+        words += f" --setpoints {quoted(profile.setpoints)}"
     else:
         low, high = profile.band
         words += f" --band {low:.12g}" if low == high else f" --band {low:.12g}:{high:.12g}"

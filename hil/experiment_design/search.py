@@ -18,6 +18,7 @@ from hil.errors import WrongUse
 from hil.experiment_design.assessment import Assessment, Task, assess, rounded, worst_shares
 from hil.experiment_design.fisher import predict
 from hil.experiment_design.response import respond
+from hil.printable import quoted
 from hil.recording.ahead import Progress
 
 T = TypeVar("T")
@@ -53,8 +54,8 @@ def best(task: Task, duration: float, progress: Progress | None = None) -> Asses
         search.judge(kind, low, high)
     if math.isinf(min(search.errors.values())):
         raise WrongUse(
-            f"no excitation identifies Kc and Bc with --model {task.model}: some of its terms look the same in every "
-            "motion (skew looks like a damping and an inertia together); leave one out"
+            f"no excitation identifies Kc and Bc with --model {quoted(task.model)}: some of its terms look the same "
+            "in every motion (skew looks like a damping and an inertia together); leave one out"
         )
     for kind in _followed(_KINDS, "refining the best", progress):
         search.refine(kind)

@@ -10,6 +10,7 @@ import select
 import subprocess
 from dataclasses import asdict
 
+from drivers.clock import machine_time, no_later
 from drivers.off_path import OffPath
 from drivers.servo import DriverError
 from hil.child import command, shared_memory
@@ -17,7 +18,7 @@ from hil.guardian.words import SIZE, Reason, Word, Words, now
 
 _START = 20.0  # s until it must be ready; a fraction of a second is usual
 _FROZEN = 0.5  # s without its own sign of life
-_END = 2.0  # s that it may take to end
+_END, _END_AT_LEAST = 2.0, 0.05  # s that it may take to end; during a torque-off, less
 
 _FIRED = {
     Reason.STOPPED: "hil was stopped (SIGSTOP, a debugger)",
@@ -176,8 +177,9 @@ class Guardian:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
+    now = machine_time()
     try:
-        process.wait(_END)
+        process.wait(max(_END_AT_LEAST, no_later(now + _END) - now))
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()

@@ -203,7 +203,9 @@ class Guardian:
     def _say(self, reason: Reason) -> None:
         """Print at the terminal why the torque was switched off: the guarded process may be unable to print it."""
         self._said = True
-        text = "the guardian sent torque-off" if self._sent else f"CUT THE POWER: torque-off failed ({self._error})"
+        text = f"CUT THE POWER: torque-off failed ({self._error})"
+        if self._sent:
+            text = "the guardian sent torque-off; if the motor still pulls, cut its power"
         with contextlib.suppress(OSError, ValueError):
             if select.select([], [2], [], 0.0)[1]:  # a terminal that was stopped must not stop the frames
                 os.write(2, f"hil: {_WHY[reason]}: {text}\n".encode("utf-8", "replace"))

@@ -74,6 +74,11 @@ class GuardedServo:
         return Guardian(self._path.off_path(), self._watch.silence)
 
     @property
+    def inner(self) -> Servo:
+        """The servo without its guardian."""
+        return self._servo
+
+    @property
     def info(self) -> ServoInfo:
         """The description of the servo."""
         return self._servo.info

@@ -103,8 +103,7 @@ def reversals(guide: Array) -> list[int]:
     """Return the first index of a quantity that turns back and forth, `guide` (n,), the indices at which it turns, and
     the last index.
     """
-    noise = 1.4826 * float(np.median(np.abs(np.diff(guide, 2)))) / 6.0**0.5 if len(guide) > _POINTS else 0.0
-    threshold = max(_REVERSAL * float(np.ptp(guide)), min(_NOISES * noise, 0.5 * float(np.ptp(guide))))
+    threshold = max(_REVERSAL * float(np.ptp(guide)), min(_NOISES * noise_of(guide), 0.5 * float(np.ptp(guide))))
     found, extreme, rises = [0], 0, 0
     values: Sequence[float] = guide.tolist()
     for at, value in enumerate(values):
@@ -116,6 +115,11 @@ def reversals(guide: Array) -> list[int]:
                 found.append(extreme)
             extreme, rises = at, 1 if further > 0.0 else -1
     return [*found, len(guide) - 1]
+
+
+def noise_of(values: Array) -> float:
+    """Return the standard deviation of the noise of a slow signal (n,), in its unit; 0 for few rows."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / 6.0**0.5 if len(values) > _POINTS else 0.0
 
 
 def _means(values: Array) -> Array:

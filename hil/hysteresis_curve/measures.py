@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
-from hil.hysteresis_curve.branches import Branch, Torsion, branches_of
+from hil.hysteresis_curve.branches import Branch, Torsion, branches_of, noise_of
 
 Array = NDArray[np.float64]
 Where = tuple[str, str, tuple[float, float]]
@@ -91,6 +91,11 @@ class Measures:
     def loading(self) -> Spread:
         """Return the loading stiffness in the last part of the torque's range, both directions together, N m/rad."""
         return self.stiffness["loading", "both", self.parts[-1]]
+
+    @property
+    def noise(self) -> float:
+        """Return the standard deviation of the torque's noise, N m, in the noisiest test."""
+        return max(noise_of(one.torque) for one in self.tests)
 
 
 def measure(
@@ -188,6 +193,8 @@ def _loops(branches: Sequence[Branch]) -> list[tuple[list[Branch], list[Branch]]
     for one in branches:
         strokes.setdefault(one.stroke, []).append(one)
     found = list(strokes.values())
+    if not found:
+        return []
     first, last = found[0][0], found[-1][-1]
     if len(found) > 2 and first.loading and not last.loading and first.sign != last.sign:
         found = [[*found[-1], *found[0]], *found[1:-1]]
@@ -226,6 +233,15 @@ def _unloaded(stroke: Sequence[Branch]) -> float:
 
 
 def _angle(stroke: tuple[Array, Array], torque: float) -> float:
-    """Return the angle at a torque of a stroke, rad; NaN beyond its ends."""
-    order = np.argsort(stroke[0], kind="stable")
-    return float(np.interp(torque, stroke[0][order], stroke[1][order], np.nan, np.nan))
+    """Return the angle at a torque of a stroke, rad; NaN beyond its ends.
+
+    In a stroke the torque moves one way: the monotone torque nearest to the readings (isotonic regression) has their
+    noise no more. Where it is level, as in a gap, the middle of the level counts.
+    """
+    from scipy.optimize import isotonic_regression
+
+    rises = stroke[0][-1] > stroke[0][0]
+    level, angle = isotonic_regression(stroke[0], increasing=rises).x, stroke[1]
+    levels, count = np.unique(level, return_counts=True)
+    middle = np.add.reduceat(angle[np.argsort(level, kind="stable")], np.cumsum(count) - count) / count
+    return float(np.interp(torque, levels, middle, np.nan, np.nan))

@@ -15,12 +15,13 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.fitting.solution import Search
-from hil.identification.result import Estimate, Identification, interval, standard_error
+from hil.identification.result import Estimate, Identification, standard_error, widened
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.verdict.identifiability import uncertain_scale
 from hil.recording.ahead import Progress
+from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
 from hil.signals import constants as c
-from hil.signals.constants import NORMAL
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
@@ -34,9 +35,8 @@ class Measured:
 
     created: when it was recorded, UTC; None if unknown. hours: time since the first recording, h. estimates: the
     estimates of the parameters in COMPARED, by name; {} if the recording could not be used. identifiable: the names of
-    the parameters that the recording identifies. model: the fitted model. torque_uncertainty: relative standard
-    uncertainty of the torque's scale. This uncertainty widens the intervals of all recordings of a stand in common, and
-    cancels in their differences. window: the first and the last time that was used, s; None for all of it.
+    the parameters that the recording identifies. model: the fitted model. torque_scale: how well the torque's scale,
+    which cancels in differences, is known. window: the first and the last time that was used, s; None for all of it.
     """
 
     path: Path
@@ -45,7 +45,7 @@ class Measured:
     model: str
     estimates: dict[str, Estimate]
     identifiable: frozenset[str]
-    torque_uncertainty: float = 0.0
+    torque_scale: TorqueScale
     window: tuple[float, float] | None = None
 
 
@@ -114,7 +114,7 @@ def compare(
             measured.append(_measured(source, moment, hours, model, _usable(source.path, found, diagnostics)))
     models = sorted({one.model for one in measured if one.estimates})
     repeated = tuple(_repeated(name, measured) for name in COMPARED)
-    diagnostics += _common_scale(measured)
+    diagnostics += uncertain_scale(TorqueScale.widest(one.torque_scale for one in measured))
     if len(models) > 1:
         text = f"the recordings were fitted with different models ({', '.join(models)}): name one with --model"
         diagnostics.append(Diagnostic("hard-to-compare", text))
@@ -150,32 +150,20 @@ def _origin(source: Source) -> tuple[datetime | None, bool]:
     return (moment if moment.tzinfo else None), False
 
 
-def _common_scale(measured: Sequence[Measured]) -> list[Diagnostic]:
-    common = max(one.torque_uncertainty for one in measured)
-    if not common:
-        return []
-    return [
-        Diagnostic(
-            "hard-to-compare",
-            f"the torque's scale is uncertain by {common:.2%}, the same in all recordings. The intervals include it; "
-            "the standard deviations within and between the recordings do not",
-        )
-    ]
-
-
 def _usable(path: Path, found: Result, diagnostics: list[Diagnostic]) -> Identification | None:
     if isinstance(found, Untrustworthy):
         diagnostics.append(Diagnostic("hard-to-compare", f"{found}; it is left out"))
         return None
     # only warnings here: the comparison has its own errors, by the recordings that remain
-    diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in found.diagnostics]
+    said = [one for one in found.diagnostics if one not in uncertain_scale(found.torque_scale)]  # which is said once
+    diagnostics += [Diagnostic(one.code, f"{path}: {one.message}", one.parameter) for one in said]
     return found
 
 
 def _measured(
     source: Source, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
 ) -> Measured:
-    scale, window = source.torque_uncertainty, source.recording.window
+    scale, window = source.torque_scale, source.recording.window
     if found is None:
         return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale, window)
     estimates = {name: found[name] for name in COMPARED}
@@ -188,7 +176,7 @@ def _measured(
 def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     usable = [one for one in measured if name in one.identifiable]
     values = np.array([one.estimates[name].value for one in usable])
-    errors = np.array([standard_error(one.estimates[name], one.torque_uncertainty) for one in usable])
+    errors = np.array([standard_error(one.estimates[name]) for one in usable])
     paths = tuple(one.path for one in usable)
     unit = next((one.estimates[name].unit for one in measured if name in one.estimates), "")
     if len(usable) < 2:
@@ -201,16 +189,9 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     slope = drift(hours, values, errors) if len(usable) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
     repeats = pooled.p_alike >= c.BY_CHANCE_APART and (slope is None or slope.p >= c.BY_CHANCE_APART)
     verdict = _verdict(name, pooled, slope, len(usable))
-    widened = _with_scale(pooled, max(one.torque_uncertainty for one in usable))
-    return Repeated(name, unit, paths, widened, slope, repeats, verdict)
-
-
-def _with_scale(pooled: Pooled, uncertainty: float) -> Pooled:
-    """Return the pooled value, its error and interval widened by the uncertainty of the torque's scale."""
-    scale = uncertainty * abs(pooled.value)
-    half = math.hypot(0.5 * (pooled.ci95[1] - pooled.ci95[0]), NORMAL * scale)
-    error = math.hypot(pooled.standard_error, scale)
-    return replace(pooled, standard_error=error, ci95=interval(pooled.value, half, positive=True))
+    scale = max(one.torque_scale.included for one in usable)
+    error, ends = math.hypot(pooled.standard_error, scale * pooled.value), widened(pooled.value, pooled.ci95, scale)
+    return Repeated(name, unit, paths, replace(pooled, standard_error=error, ci95=ends), slope, repeats, verdict)
 
 
 def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:

@@ -40,6 +40,14 @@ Result = Identification | Untrustworthy
 """An identification, or the reason why there is none."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C ended the work. results: of the tasks that were complete, by the number of the task."""
+
+    def __init__(self, results: dict[int, Result]) -> None:
+        super().__init__()
+        self.results = results
+
+
 def identified(task: Task, progress: Progress | None = None) -> Result:
     """Return the result of a task. Raises WrongUse."""
     if task.model is not None:
@@ -56,27 +64,48 @@ def identify_each(tasks: Sequence[Task], progress: Progress | None = None) -> li
     """Return the result of each task, in the order of the tasks.
 
     The first task's setting `workers` limits how many tasks run at a time. Other processes are started
-    if the remaining tasks take long enough, as estimated while the first task runs. Raises WrongUse.
+    if the remaining tasks take long enough, as estimated while the first task runs. Raises WrongUse, and Interrupted
+    after Ctrl-C.
     """
+    found: dict[int, Result] = {}
+    try:
+        _identify_each(tasks, progress, found)
+    except KeyboardInterrupt:
+        raise Interrupted(found) from None
+    return [found[at] for at in range(len(tasks))]
+
+
+def _identify_each(tasks: Sequence[Task], progress: Progress | None, found: dict[int, Result]) -> None:
     if not tasks:
-        return []
+        return
     workers, count = tasks[0].search.workers, len(tasks)
     if workers == 1 or count < _FEWEST:
         does = _whole if count > 1 else identified
-        return [does(task, _share(progress, at, count)) for at, task in enumerate(tasks)]
-    alone = [replace(task, search=replace(task.search, workers=1)) for task in tasks]
+        for at, task in enumerate(tasks):
+            found[at] = does(task, _share(progress, at, count))
+        return
+    alone = [by_itself(task) for task in tasks]
 
     def on_done(done: int) -> None:
         if progress is not None:
             progress(f"identified {done} of {count}", done / count)
 
-    return _spread(tasks, alone, progress, on_done)
+    _spread(tasks, alone, progress, on_done, found)
+
+
+def by_itself(task: Task) -> Task:
+    """Return a task that uses one core."""
+    return replace(task, search=replace(task.search, workers=1))
 
 
 def _spread(
-    tasks: Sequence[Task], alone: Sequence[Task], progress: Progress | None, on_done: Callable[[int], None]
-) -> list[Result]:
-    """Run the tasks in this process and in others.
+    tasks: Sequence[Task],
+    alone: Sequence[Task],
+    progress: Progress | None,
+    on_done: Callable[[int], None],
+    found: dict[int, Result],
+) -> None:
+    """Run the tasks in this process and in others, and store the results in `found`.
 
     alone: the same tasks with one core each. on_done: a function that is called when a task is done.
     """
@@ -84,10 +113,10 @@ def _spread(
     delay = _WORTH / (count - 1)
 
     def here(at: int) -> Result:
-        by_itself = time.perf_counter() - began < delay  # all cores are its own until the others come
-        return _whole(tasks[at] if by_itself else alone[at], _share(progress, at, count))
+        is_first = time.perf_counter() - began < delay  # all cores are its own until the others come
+        return _whole(tasks[at] if is_first else alone[at], _share(progress, at, count))
 
-    return shared(_whole, alone, others=min(workers, count) - 1, delay=delay, here=here, on_done=on_done)
+    shared(_whole, alone, others=min(workers, count) - 1, delay=delay, here=here, found=found, on_done=on_done)
 
 
 def _whole(task: Task, progress: Progress | None = None) -> Result:

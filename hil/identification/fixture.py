@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
-from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error
+from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error, with_scale
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.printable import quoted
 from hil.recording.ahead import Progress
@@ -89,10 +88,10 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     motion = signals.motion
     one = len(found.recordings) == 1 and len(signals) >= found.samples
     excitation = Excitation.of(motion.time, motion.dtheta) if one else Excitation.flat(signals.band)
-    # the torque's scale has the same relative error in both, and so in the difference
-    common = found.torque_uncertainty
-    alone = corrected(_element(found, common), _element(fixture, common), excitation)
+    alone = corrected(_element(found), _element(fixture), excitation)
     corrections = {"Kc": (alone.stiffness, alone.stiffness_error), "Bc": (alone.damping, alone.damping_error)}
+    # the torque's scale has the same relative error in both, and so in the difference
+    common = found.torque_scale.included
     estimates = tuple(
         _corrected(estimate, *corrections[estimate.name], common) if estimate.name in corrections else estimate
         for estimate in found.estimates
@@ -142,15 +141,15 @@ def _lost(estimate: Estimate) -> Diagnostic:
     )
 
 
-def _element(found: Identification, common: float) -> Element:
+def _element(found: Identification) -> Element:
     kc, bc = found["Kc"], found["Bc"]
-    return Element(kc.value, bc.value, standard_error(kc, common), standard_error(bc, common))
+    return Element(kc.value, bc.value, standard_error(kc), standard_error(bc))
 
 
 def _corrected(estimate: Estimate, value: float, error: float, common: float) -> Estimate:
-    shift, half = value - estimate.value, NORMAL * math.hypot(error, common * value)
+    shift, half = value - estimate.value, NORMAL * error
     trials = estimate.optimiser
-    return replace(
+    alone = replace(
         estimate,
         value=value,
         ci95=interval(value, half, positive=estimate.positive),
@@ -158,3 +157,4 @@ def _corrected(estimate: Estimate, value: float, error: float, common: float) ->
         optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
         identifiable=estimate.identifiable and narrow(half, value),
     )
+    return with_scale(alone, common)

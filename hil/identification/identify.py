@@ -14,6 +14,7 @@ from threadpoolctl import ThreadpoolController
 
 from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter, positive_among
+from ga.model.terms import size_of
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.described import Described, tested, without_model
@@ -26,24 +27,28 @@ from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
 from hil.identification.mixture.average import averaged
 from hil.identification.mixture.deflection import read_with_errors
-from hil.identification.result import Estimate, Identification, Step
-from hil.identification.same_stand import calibration_diagnostics, same_stand_diagnostics
+from hil.identification.result import Estimate, Identification, Step, with_scale
+from hil.identification.same_stand import calibration_diagnostics, other_joints_diagnostics, same_stand_diagnostics
 from hil.identification.verdict.deflection import (
     deflection_diagnostics,
     ignored_command,
     summarised,
 )
 from hil.identification.verdict.evidence import Evidence, estimates, span_met, with_misfit
-from hil.identification.verdict.identifiability import judge, wide_intervals
+from hil.identification.verdict.identifiability import judge, uncertain_scale, wide_intervals
 from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics
 from hil.identification.verdict.outweighed_spring import outweighed_spring
 from hil.recording.ahead import Progress
+from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
+from hil.signals import constants as c
+from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.confidence import confidence_intervals
 from hil.uncertainty.deflection.correction import DeflectionErrors
+from hil.uncertainty.deflection.instruments import is_instrument
 from hil.uncertainty.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
@@ -75,7 +80,8 @@ def _identified(
     sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None
 ) -> Identification:
     began = time.perf_counter()
-    stands = [*same_stand_diagnostics(sources), *calibration_diagnostics(sources)]
+    stands = [*same_stand_diagnostics(sources), *calibration_diagnostics(sources), *other_joints_diagnostics(sources)]
+    scale = TorqueScale.widest(source.torque_scale for source in sources)
 
     def chosen(signals: Signals, whole: bool) -> Choice:
         if progress is not None and model is None:
@@ -84,9 +90,7 @@ def _identified(
 
     with open_dataset(sources, chosen, progress, rest=rest_for(model)) as data:
         solution = solve(data, search, progress)
-        evidence = _evidence(data, solution)
-        found = estimates(evidence)
-        steps = _with_result(data.choice.steps, found, solution)
+        found = estimates(evidence := _evidence(data, solution))
         scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
         described = _described(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
         fit, dynamic = tested(described), without_model(described)
@@ -103,15 +107,17 @@ def _identified(
                 *lost_by_misfit(modelled, found),
                 *outweighed_spring(described, fit),
             ]
-            doubts += wide_intervals(evidence, doubts)
+            doubts += [*wide_intervals(evidence, doubts), *uncertain_scale(scale)]
         return Identification(
             recordings=tuple(source.path for source in sources),
             windows=tuple(source.recording.window for source in sources),
             model=data.choice.model,
-            steps=steps,
+            steps=_with_result(data.choice.steps, found, solution),
             preset=search.preset,
             seed=search.seed,
-            estimates=found,
+            estimates=tuple(
+                with_scale(one, scale.included * of.scales) for one, of in zip(found, evidence.parameters, strict=True)
+            ),
             fitness=float(solution.trials.fitness.min()),
             optimum=solution.optimum.fitness,
             optimiser_gap=evidence.gap,
@@ -124,10 +130,11 @@ def _identified(
             signals=data.signals,
             values=solution.values,
             fitted=data.used,
-            torque_uncertainty=data.uncertainty,
+            torque_scale=scale,
             lack_of_fit=fit,
             dynamic_stiffness=dynamic,
             deflection=summarised(evidence),
+            reference=data.place.reference,
         )
 
 
@@ -150,7 +157,11 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
         chosen[0] += 0.5 * (span[1] - span[0])
     chosen = np.hypot(chosen, deflection.half_width) if deflection else chosen
     values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
-    exact = pooled.with_scale_uncertainty(_of_scale(data, parameters), solution.values)
+    # held set-points make the rate, and so Bc, wrong by anything up to `taken_off`
+    taken_off = most_taken_off(data.signals) or _most_without_command(data.signals, size_of(fitted, "delay"))
+    rate = NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * solution.values
+    rate[[name != "Bc" for name in given[0]]] = 0.0
+    exact = replace(pooled, half_width=np.hypot(pooled.half_width, rate))
     own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
     return Evidence(
         model=data.choice.model,
@@ -174,14 +185,21 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     )
 
 
-def _of_scale(data: Dataset, parameters: Sequence[Parameter]) -> Array:
-    """Return the relative uncertainty (p,) of the parameters due to scales: the torque's scale and, for Bc, the
-    rate's, which held set-points make wrong by anything up to `most_taken_off`.
+def _most_without_command(signals: Signals, delay: float) -> float:
+    """Return the largest part of Bc that held set-points may take off if few readings in a period and no command are
+    recorded: then nothing shows how fast the drive follows.
+
+    A drive of natural frequency w (rad/s) and damping ratio z takes off h^2/12 w^2 of Bc, with the time step h, and
+    looks like a delay of z w h^2/6. delay: that of the fitted model, s. The motor's torque is itself held, so that half
+    a tick of delay changes the whole of Bc.
     """
-    torque = np.array([data.uncertainty if parameter.scales else 0.0 for parameter in parameters])
-    of_rate = np.hypot(RATE_ACCURACY, most_taken_off(data.signals) / 3.0**0.5)
-    rate = np.array([of_rate if parameter.name == "Bc" else 0.0 for parameter in parameters])
-    return np.asarray(np.hypot(torque, rate))
+    step = float(np.median(np.diff(signals.motion.time)))
+    is_dense = 1.0 / step > c.DENSE_READINGS * signals.band[1]
+    if signals.window is None or signals.motion.part_of is not None or is_dense or is_instrument(signals.command):
+        return 0.0
+    if signals.torque_from == "motor":
+        return 1.0
+    return float(np.clip(3.0 * (delay / (c.DRIVE_DAMPING * step)) ** 2, c.TAKEN_OFF, 1.0))
 
 
 def _averaged(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
 from hil.identification.coupling import Coupling
+from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
@@ -75,7 +76,8 @@ class Estimate:
     recording and if fewer than two recordings identify the parameter. depends_on: the quantity that the parameter
     changes with, such as "amplitude", if it has no single value: `ci95` then spans its values, and `value` is the
     middle. positive: whether the parameter cannot be negative for physical reasons. correlation: of its sampling
-    error with those of all parameters, by name.
+    error with those of all parameters, by name. ci95_without_scale: the 95 % interval if the torque's scale is exact,
+    None if `ci95` is that interval.
     """
 
     name: str
@@ -91,11 +93,17 @@ class Estimate:
     depends_on: str | None = None
     positive: bool = False
     correlation: Mapping[str, float] = field(default_factory=dict, repr=False)
+    ci95_without_scale: tuple[float, float] | None = field(default=None, repr=False)
 
     @property
     def half_width(self) -> float:
         """Return half of the 95 % interval, before the interval is cut at zero."""
         return max(self.ci95[1] - self.value, self.value - self.ci95[0])
+
+    @property
+    def without_scale(self) -> Estimate:
+        """Return the estimate with the interval that it has if the torque's scale is exact."""
+        return replace(self, ci95=self.ci95_without_scale or self.ci95)
 
     @property
     def stderr(self) -> float:
@@ -162,13 +170,13 @@ class Identification:
 
     fitness: mean |error| of the best trial, N m. optimum: mean |error| of the exact solution, N m. optimiser_gap: how
     far `fitness` is above `optimum`, relative. steps: the steps of model selection, empty if the model was named.
-    seconds: total time. search_seconds: time of the trials. torque_uncertainty: relative standard uncertainty of the
-    torque's scale. lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: the joint's
+    seconds: total time. search_seconds: time of the trials. torque_scale: how well the torque's scale
+    is known. lack_of_fit: the test whether the model describes the recordings; dynamic_stiffness: the joint's
     stiffness without a model; both None if the recordings are too short. fixture: the fixture whose compliance was
     removed, None if it is assumed rigid. values (p + q,): the exact optimum, SI, for the signals, whose deflections may
     count from another zero than the estimates. fitted (n,): which samples of the signals were fitted. deflection: the
     errors of the deflection, None if they are too small to have an effect. windows: for each recording the first and
-    last time that was used, s, None for all of it.
+    last time that was used, s, None for all of it. reference: the deflection, rad, from which the signals' count.
     """
 
     recordings: tuple[Path, ...]
@@ -190,11 +198,12 @@ class Identification:
     values: NDArray[np.float64]
     fitted: NDArray[np.bool_]
     windows: tuple[tuple[float, float] | None, ...]
-    torque_uncertainty: float = 0.0
+    torque_scale: TorqueScale
     lack_of_fit: LackOfFit | None = None
     dynamic_stiffness: DynamicStiffness | None = None
     fixture: Fixture | None = None
     deflection: Deflection | None = None
+    reference: float = 0.0
 
     def __getitem__(self, name: str) -> Estimate:
         return next(estimate for estimate in self.estimates if estimate.name == name)
@@ -207,10 +216,9 @@ class Identification:
         correlates as the sampling errors of the selected model do. Infinite or NaN for a parameter that is not known.
         """
         errors = np.array([one.stderr for one in self.estimates])
-        torques = {one.name for one in (*self.model.linear, *self.model.nonlinear) if one.scales}
-        values = [one.value if one.name in torques else 0.0 for one in self.estimates]
-        common = self.torque_uncertainty * np.array(values)
-        rest = np.sqrt(np.maximum(errors**2 - common**2, 0.0))
+        common = np.array([one.value * bool(one.ci95_without_scale) for one in self.estimates])
+        common *= self.torque_scale.included
+        rest = np.array([one.without_scale.stderr for one in self.estimates])
         names = [one.name for one in self.estimates]
         alike = np.array([[one.correlation.get(name, np.nan) for name in names] for one in self.estimates])
         found = alike * np.outer(rest, rest) + np.outer(common, common)
@@ -251,11 +259,27 @@ def interval(value: float, half: float, *, positive: bool) -> tuple[float, float
     return max(value - half, 0.0) if positive and math.isfinite(half) else value - half, value + half
 
 
-def standard_error(estimate: Estimate, uncertainty: float = 0.0) -> float:
-    """Return the standard error of an estimate, in its unit: from its 95 % interval, less the part that the scale of
-    the torque causes.
+def widened(value: float, ends: tuple[float, float], scale: float, *, positive: bool = True) -> tuple[float, float]:
+    """Return a 95 % interval with the uncertainty of the torque's scale, relative, which more samples do not reduce."""
+    half = max(ends[1] - value, value - ends[0])
+    return interval(value, math.hypot(half, NORMAL * scale * value), positive=positive)
 
-    uncertainty: the relative uncertainty of the torque's scale.
+
+def with_scale(one: Estimate, uncertainty: float) -> Estimate:
+    """Return the estimate of a parameter that is proportional to the torque, its intervals `widened`. Each end of an
+    interval that spans several values moves by the uncertainty of that end.
     """
-    half = math.sqrt(max(estimate.half_width**2 - (NORMAL * uncertainty * estimate.value) ** 2, 0.0))
-    return float(max(half / NORMAL, c.NO_NOISE * abs(estimate.value), math.ulp(0.0)))
+    if not uncertainty:
+        return one
+    ends, alone = widened(one.value, one.ci95, uncertainty, positive=one.positive), one.conditional
+    if one.depends_on:
+        low, high = (widened(end, (end, end), uncertainty, positive=one.positive) for end in one.ci95)
+        ends = low[0], high[1]
+    if alone is not None:
+        alone = replace(alone, ci95=widened(alone.value, alone.ci95, uncertainty, positive=one.positive))
+    return replace(one, ci95=ends, ci95_without_scale=one.ci95, conditional=alone)
+
+
+def standard_error(estimate: Estimate) -> float:
+    """Return the standard error of an estimate, in its unit, without the part that the torque's scale causes."""
+    return float(max(estimate.without_scale.stderr, c.NO_NOISE * abs(estimate.value), math.ulp(0.0)))

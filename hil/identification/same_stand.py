@@ -10,6 +10,7 @@ from typing import Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
+from hil.signals.constants import INTERVAL
 from hil.signals.source import Source
 from hil.stand.file import Stand
 
@@ -31,7 +32,7 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
         if source.stand is None:
             unknown.append(str(path))
         else:
-            stands.append((path, _facts(source.stand)))
+            stands.append((path, _facts(source.stand) | {"torque scale": source.torque_scale.source or "not known"}))
     found = [diagnostic for path, facts in stands[1:] for diagnostic in _compared(*stands[0], path, facts)]
     if stands and unknown:
         found.append(
@@ -41,6 +42,26 @@ def same_stand_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
                 "same stand",
             )
         )
+    return found
+
+
+def other_joints_diagnostics(sources: Sequence[Source]) -> list[Diagnostic]:
+    """Return a diagnostic for each imported recording in which other joints moved as this one did.
+
+    It is an error where a coupling to them that is as stiff as Kc would change Kc by more than a trusted interval is
+    wide.
+    """
+    found = []
+    for source in sources:
+        profile = source.recording.profile
+        if follow := float(profile.get("other_joints_follow", 0.0)):
+            text = (
+                f"{source.path}: {profile['other_joints']} moved too, and their motion explains "
+                f"{float(profile['other_joints_repeat']):.1%} of that of this joint. Kc contains the torque of the "
+                f"coupling to them: a coupling as stiff as Kc changes it by {follow:.0%}. Record again with the other "
+                "joints at rest"
+            )
+            found.append(Diagnostic("not-identifiable", text, is_error=follow > INTERVAL))
     return found
 
 

@@ -53,6 +53,7 @@ class UserModel:
     high: Array
     linear: tuple[Parameter, ...] = ()
     needs_ratio: bool = False
+    chooses_edge: bool = False
     sticks: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], UserModel], tuple[str]]:

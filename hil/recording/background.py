@@ -133,13 +133,6 @@ class BackgroundWriter:
         """
         self._ring.add_event(packed_event(time, code, message))
 
-    def flush(self) -> None:
-        """Wait until the operating system has all rows so far. Raises Untrustworthy if the disk fails or does not
-        respond.
-        """
-        while self._ring.taken < self._ring.put and self._advances():
-            self._check()
-
     def finish(self, end_reason: str, *, force: bool = False) -> Path:
         """Write all rows and the final file, and return its path. Raises WrongUse, and Untrustworthy if the disk does
         not respond.

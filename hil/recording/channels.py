@@ -1,12 +1,15 @@
-"""The channels of a recording: one table that defines the fields of a row, their storage and their descriptions."""
+"""The channels of a recording: one table that defines the fields of a row, their storage and their descriptions; and
+how well the scale of its torque is known.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import Annotated, NamedTuple, get_args, get_type_hints
+from typing import Annotated, Any, NamedTuple, Self, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,3 +83,35 @@ def units_of(mode: str) -> dict[str, str]:
     """
     units = {name: channel.unit for name, channel in CHANNELS.items()}
     return units | {"command": _COMMANDED.get(mode, units["command"])}
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueScale:
+    """How well the scale of a torque is known.
+
+    uncertainty: relative standard uncertainty, NaN if not known. source: in words, what states it; if it is not known,
+    which drive or cell states none; "" if no drive was recorded.
+    """
+
+    uncertainty: float = math.nan
+    source: str = ""
+
+    @classmethod
+    def stored(cls, attributes: Mapping[str, Any]) -> Self:
+        """Return what a recording with these attributes says."""
+        known, source = attributes.get("torque_uncertainty"), str(attributes.get("torque_scale", ""))
+        return cls(known if isinstance(known, float) and 0.0 <= known < 1.0 else math.nan, source)
+
+    @classmethod
+    def widest(cls, scales: Iterable[Self]) -> Self:
+        """Return the least well known of several scales; the first of those that are not known, if none is known."""
+        return max(scales, key=lambda one: one.included, default=cls())
+
+    @property
+    def included(self) -> float:
+        """Return the uncertainty that intervals include: 0 if it is not known."""
+        return 0.0 if math.isnan(self.uncertainty) else self.uncertainty
+
+    def attributes(self) -> dict[str, str | float]:
+        """Return the attributes of a recording that say this."""
+        return {"torque_uncertainty": self.uncertainty, "torque_scale": self.source}

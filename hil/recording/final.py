@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.recording.channels import CHANNELS, ROW
+from hil.recording.channels import CHANNELS, ROW, Rows
 from hil.recording.integrity import header_hash, plain, stored_hash
 from hil.recording.lateness import Lateness
 from hil.recording.output import atomic_write, check_space
@@ -28,23 +29,28 @@ OVERHEAD = 1 << 18
 class Finalised(NamedTuple):
     """The result of writing a final file: the number of rows, and the number of damaged rows, which are stored as lost.
 
-    trusted: whether the source still matched its hash; otherwise the final file gets no hash.
+    trusted: whether the source still matched its hash; otherwise the final file gets no hash. damage: see `Recording`.
     """
 
     samples: int
     damaged: int
     trusted: bool
+    damage: str
 
 
-def finalise(source: Path, output: Path, *, end_reason: str | None = None, force: bool = False) -> Finalised:
+def finalise(
+    source: Path, output: Path, *, end_reason: str | None = None, force: bool = False, rows: Rows | None = None
+) -> Finalised:
     """Write the recording `source` (finished or in progress, any known schema) to `output` as a final file.
 
     The output appears complete or not at all; `source` is not changed. end_reason: why the run ended; None marks the
-    recording as recovered. force: replace an existing file. Raises WrongUse if the output cannot be written.
+    recording as recovered. force: replace an existing file. rows: (n,) of ROW in place of those of `source`. Raises
+    WrongUse if the output cannot be written.
     """
     with Recording(source) as recording:
-        done = Finalised(len(recording), recording.damaged, _is_trusted(recording))
-        check_space(output, len(recording) * ROW.itemsize + OVERHEAD)
+        length = len(recording) if rows is None else len(rows)
+        done = Finalised(length, recording.damaged, _is_trusted(recording), recording.damage)
+        check_space(output, length * ROW.itemsize + OVERHEAD)
         with (
             atomic_write(output, force=force) as temporary,  # which has locked it already
             h5py.File(temporary, "w", libver="latest", locking=False) as file,
@@ -53,8 +59,8 @@ def finalise(source: Path, output: Path, *, end_reason: str | None = None, force
             write_attributes(file, attributes, recording.profile, recording.truth())
             file.attrs["complete"] = end_reason == "done"
             file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
-            file.attrs.update(_write_samples(file, recording))
-            events = [*recording.events(), *_damage(recording)]
+            file.attrs.update(_write_samples(file, partial(_blocks, recording, rows), length, _rate(recording)))
+            events = [*recording.events(), *([Event(0.0, "damaged-rows", done.damage)] if done.damage else [])]
             _write_events(file, events)
             if done.trusted:
                 sign(file, recording.truth(), events)
@@ -65,11 +71,6 @@ def finalise(source: Path, output: Path, *, end_reason: str | None = None, force
 
 def _is_trusted(recording: Recording) -> bool:
     return recording.header_intact() if recording.live else recording.verify()
-
-
-def _damage(recording: Recording) -> list[Event]:
-    message = f"{recording.damaged} rows were damaged on the disk and count as lost"
-    return [Event(0.0, "damaged-rows", message)] if recording.damaged else []
 
 
 def write_attributes(
@@ -89,20 +90,30 @@ def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> No
     file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
 
 
-def _write_samples(file: h5py.File, recording: Recording) -> dict[str, str | float]:
-    """Write the rows; return the attributes that are computed from the rows, such as hashes and lateness.
+def _blocks(recording: Recording, rows: Rows | None) -> Iterator[tuple[int, Rows]]:
+    """Yield the rows in blocks, each with the index of its first row. rows: None for those of the recording."""
+    if rows is None:
+        yield from recording.rows()
+    else:
+        yield from ((start, rows[start : start + BLOCK]) for start in range(0, len(rows), BLOCK))
+
+
+def _write_samples(
+    file: h5py.File, blocks: Callable[[], Iterator[tuple[int, Rows]]], length: int, rate: float
+) -> dict[str, str | float]:
+    """Write the rows in the blocks; return the attributes that are computed from the rows, such as hashes and lateness.
 
     If the torque equals the torque cell's reading in every row, it is stored once, under both names.
     """
     group = file.create_group("samples")
-    names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(recording)]
-    _, first = next(recording.rows(), (0, np.empty(0, dtype=ROW)))
+    names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(blocks)]
+    _, first = next(blocks(), (0, np.empty(0, dtype=ROW)))
     for name in names:
-        _create_channel(group, name, len(recording), first[name])
+        _create_channel(group, name, length, first[name])
     if "joint_torque" not in names:
         group["joint_torque"] = group["torque"]
-    digest, lateness = hashlib.sha256(), Lateness(_rate(recording))
-    for start, rows in recording.rows():
+    digest, lateness = hashlib.sha256(), Lateness(rate)
+    for start, rows in blocks():
         for name in names:
             group[name][start : start + len(rows)] = rows[name]
         digest.update(rows.tobytes())
@@ -139,11 +150,14 @@ def _shrinks_shuffled(values: NDArray[Any]) -> bool:
     return len(zlib.compress(sorted_, _LEVEL)) <= len(zlib.compress(data.tobytes(), _LEVEL))
 
 
-def _from_cell(recording: Recording) -> bool:
+def _from_cell(blocks: Callable[[], Iterator[tuple[int, Rows]]]) -> bool:
     """Return whether the torque equals the torque cell's reading, to the last bit, in every row."""
-    return len(recording) > 0 and all(
-        rows["torque"].tobytes() == rows["joint_torque"].tobytes() for _, rows in recording.rows()
-    )
+    count = 0
+    for _, rows in blocks():
+        if rows["torque"].tobytes() != rows["joint_torque"].tobytes():
+            return False
+        count += len(rows)
+    return count > 0
 
 
 def _rate(recording: Recording) -> float:

@@ -13,6 +13,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from hil.errors import Untrustworthy, WrongUse
+from hil.printable import quoted
 from hil.recording.posix import Answer, in_child, open_binary
 
 _MEMORY, _PER_BYTE = 1 << 29, 16  # bytes that reading a file may take, and more for each of its bytes
@@ -53,7 +54,8 @@ def missing(path: Path) -> str:
     part = path.with_name(path.name + ".part") if path.name else path
     with suppress(OSError, ValueError):
         if part.is_file() and not path.exists():
-            return f"{part} holds the rows of a run that has not ended; finish it with `hil recover {part}`, or read it"
+            recover = f"hil recover {quoted(part)}"
+            return f"{part} holds the rows of a run that has not ended; finish it with `{recover}`, or read it"
     return "check the name"
 
 

@@ -5,15 +5,18 @@ written.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
+import os
 import stat
 import struct
+import sys
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
 import h5py
 import numpy as np
@@ -21,15 +24,20 @@ from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy, WrongUse
+from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.channels import CHANNELS, END_MARK, LATER, ROW, Row, Rows
-from hil.recording.input import missing
+from hil.recording.input import missing, open_input
+from hil.recording.posix import process_mark
 
 LIVE = np.dtype([*ROW.descr, ("crc", "<u4")])
 """The layout of a row in a recording in progress: the bytes of ROW and their CRC-32."""
 EVENT = np.dtype([("time", "<f8"), ("code", "S32"), ("message", "S200"), ("crc", "<u4")])
 """The layout of an event in a recording in progress; `crc` is the CRC-32 of the bytes before it."""
 
+_FOOT = struct.Struct("<8sQQ64sI")  # _MAGIC, bytes of the header, process and its mark, CRC-32 of all before
+_MAGIC = b"hil-part"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _FEW = 4  # bytes
 _SMALL = 1 << 26  # bytes that any file may declare
 _COMPRESSION = 1000  # declared bytes a stored one
@@ -72,6 +80,25 @@ def intact(table: Rows) -> NDArray[np.bool_]:
         data = np.frombuffer(table.tobytes(), dtype=np.uint8).reshape(len(table), table.dtype.itemsize)
         return np.asarray(data.any(axis=1))
     return np.asarray(table["crc"] == _checksums(table))
+
+
+def damaged_events(table: Rows) -> int:
+    """Return how many events at most a table of EVENT has lost: its damaged entries before the first empty one, which
+    has a checksum too.
+    """
+    if table.dtype != EVENT:
+        return 0
+    whole = intact(table)
+    empty = np.flatnonzero(whole & (table["code"] == b""))
+    return int((~whole[: empty[0] if len(empty) else None]).sum())
+
+
+def is_wiped(row: Rows) -> bool:
+    """Return whether a row of LIVE, (1,) or none, consists of zeros apart from a few damaged bytes: a place that was
+    never written has the end mark.
+    """
+    few = np.count_nonzero(np.frombuffer(row.tobytes(), np.uint8)) <= _FEW
+    return bool(few and len(row) and row.dtype == LIVE)
 
 
 def written_first(table: Rows) -> int:
@@ -160,6 +187,9 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
+_NO_ROW = "it has no row that can be read: remove it, or choose another name"
+
+
 @contextmanager
 def legible(path: Path) -> Iterator[None]:
     """Turn any exception caused by damaged metadata into a WrongUse; HDF5 and h5py raise many kinds."""
@@ -168,7 +198,8 @@ def legible(path: Path) -> Iterator[None]:
     except (WrongUse, Untrustworthy):
         raise
     except Exception as error:
-        raise WrongUse(f"{path} is damaged and cannot be read ({first_line(error)}): use another copy") from error
+        hint = _NO_ROW if path.suffix == ".part" else "use another copy"
+        raise WrongUse(f"{path} is damaged and cannot be read ({first_line(error)}): {hint}") from error
 
 
 def first_line(error: Exception) -> str:
@@ -186,18 +217,117 @@ def check_regular(path: Path) -> None:
         raise WrongUse(f"{path} is not a file: name a recording such as recordings/run1.h5")
 
 
+class Recorder(NamedTuple):
+    """The process that writes a recording: its id, and its `hil.recording.posix.process_mark`."""
+
+    process: int
+    mark: str
+
+
+def second_header(header: bytes) -> bytes:
+    """Return what stands behind the last byte that HDF5 knows of a recording in progress: its header again, this
+    process as its recorder, and a checksum of both.
+    """
+    process = os.getpid()
+    data = header + _FOOT.pack(_MAGIC, len(header), process, process_mark(process).encode(), 0)[:-4]
+    return data + _crc(zlib.crc32(data))
+
+
+def recorder(path: Path) -> Recorder | None:
+    """Return the process that began the recording in progress at `path`; None for any other file."""
+    with suppress(WrongUse, OSError), open_input(path, largest=sys.maxsize) as file:
+        return _second(file)[1]
+    return None
+
+
+def is_unfinished(path: Path) -> bool:
+    """Return whether a file is a recording in progress, or one that never ended, of this version or an older one."""
+    if recorder(path) is None:
+        with suppress(Exception), open_file(path) as file:
+            return "live" in file
+        return False
+    return True
+
+
+def _second(file: BinaryIO) -> tuple[bytes, Recorder | None]:
+    """Return the second header of a file and its recorder; nothing and None without one."""
+    end = file.seek(0, os.SEEK_END) - _FOOT.size
+    file.seek(max(0, end))
+    foot = file.read(_FOOT.size)
+    if end < 0 or not foot.startswith(_MAGIC):
+        return b"", None
+    _, size, process, mark, checksum = _FOOT.unpack(foot)
+    if size > min(end, _SMALL):
+        return b"", None
+    file.seek(end - size)
+    header = file.read(size)
+    if zlib.crc32(header + foot[:-4]) != checksum:
+        return b"", None
+    return header, Recorder(process, mark.rstrip(b"\0").decode(errors="replace"))
+
+
+class _Mended(io.RawIOBase):
+    """The bytes of a damaged recording in progress, with `header` at the beginning, and with zeros where the file is
+    cut off before byte `size`.
+    """
+
+    def __init__(self, path: Path, header: bytes, size: int) -> None:
+        self._file, self._header, self._size, self._place = path.open("rb"), header, size, 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Set and return the place of the next byte."""
+        self._place = offset + (0, self._place, self._size)[whence]
+        return self._place
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill the buffer; return its length."""
+        self._file.seek(self._place)
+        data = bytearray(self._file.read(len(buffer)).ljust(len(buffer), b"\0"))
+        first = self._header[self._place : self._place + len(data)]
+        data[: len(first)] = first
+        buffer[:] = data
+        self._place += len(data)
+        return len(data)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+def _mended(path: Path) -> _Mended | None:
+    """Return the bytes of a recording in progress whose header is damaged or which is cut off; None for a file that
+    needs no mending.
+    """
+    with suppress(WrongUse, OSError), open_input(path, largest=sys.maxsize) as file:
+        header, _ = _second(file)
+        length = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        first = file.read(max(len(header), 48))
+        known = header or first  # bytes 28 to 35 of superblocks 2 and 3: the end of the file
+        size = int.from_bytes(known[28:36], "little") if known[:8] == _HDF5 and known[8] in {2, 3} else 0
+        if size > length or not first.startswith(header):
+            return _Mended(path, header, max(size, length))
+    return None
+
+
 def open_file(path: Path) -> h5py.File:
-    """Open an HDF5 file for reading. Raises WrongUse."""
+    """Open an HDF5 file for reading; of a recording in progress, also a damaged one. Raises WrongUse."""
     with legible(path):
         try:
-            return h5py.File(path, "r")
+            mended = _mended(path)
+            file = h5py.File(mended or path, "r")
+            if mended is None or "live" in file:
+                return file
+            file.close()
+            raise OSError("truncated file")
         except PermissionError:
             raise WrongUse(f"{path} cannot be opened (permission denied): change the file's permissions") from None
         except OSError as error:
             hint = (
-                "it has no row that can be read, and `hil record --force` replaces it"
+                _NO_ROW
                 if path.suffix == ".part"
-                else f"a stand file is named with --stand {path}"
+                else f"a stand file is named with --stand {quoted(path)}"
                 if path.suffix == ".toml"
                 else "bring CSV data in with `hil import`"
             )

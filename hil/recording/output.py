@@ -40,6 +40,7 @@ _OTHERS = frozenset(
 """Suffixes that a recording must not have: those of other formats, and that of a recording in progress."""
 _RECORDING = frozenset({".h5", ".hdf5", ".hdf", ".he5"})
 _READ_ONLY = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
+_FULL = frozenset(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
 _TEMPORARY = re.compile(r"\.hil-[0-9a-f]{32}")
 
 
@@ -108,12 +109,15 @@ def recording_path(path: Path) -> Path:
     return path if known else path.with_name(f"{path.name}.h5")
 
 
-def check_unfinished(path: Path) -> None:
-    """Raise WrongUse if there is an unfinished recording whose finished file would be `path`. Changes nothing."""
+def check_unfinished(path: Path, *, force: bool = False) -> None:
+    """Raise WrongUse if there is an unfinished recording whose finished file would be `path`; with `force`, only if it
+    is in progress or is another program's file. Changes nothing.
+    """
     part = part_path(path)
     with writing(path):
-        if part.exists():
-            check_ended(part)
+        _refuse_foreign(part)
+        check_ended(part)
+        if part.exists() and not force:
             raise WrongUse(
                 f"{part} is a recording that never ended: keep it with `hil recover {quoted(part)}`, choose another "
                 "name with --output, or remove it with `hil record --force`"
@@ -126,12 +130,23 @@ def check_ended(part: Path) -> None:
         _unlock(_locked_alone(part))
 
 
+def _refuse_foreign(part: Path) -> None:
+    from hil.recording.integrity import is_unfinished
+
+    if part.exists() and not is_unfinished(part):
+        raise WrongUse(
+            f"{part} is no recording that hil began, such as a download, or it is damaged beyond recognition: hil does "
+            "not remove it. Choose another name with --output, or move that file"
+        )
+
+
 def remove_unfinished(path: Path) -> None:
     """Remove the unfinished recording whose finished file would be `path`, if there is one. Raises WrongUse if the
-    recording is in progress.
+    recording is in progress, or if it is another program's file.
     """
     part = part_path(path)
     with writing(path):
+        _refuse_foreign(part)
         file = _locked_alone(part)
         if file is not None and is_at(file, part):
             remove(file, part)
@@ -177,7 +192,7 @@ def check_space(path: Path, size: int) -> None:
     if free < size:
         raise WrongUse(
             f"{path} needs up to {size / 1e6:.1f} MB while it is made and the disk has {free / 1e6:.1f} MB free: "
-            "make room, or choose another folder with -o"
+            "make room, or name another folder"
         )
 
 
@@ -247,7 +262,9 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, RuntimeError, ValueError) as error:  # HDF5 reports a full disk as any of the three
-        raise WrongUse(f"{path} cannot be written ({_reason(error)}): choose another folder with -o") from error
+        reason = _reason(error)
+        room = "make room, or " if reason in _FULL else ""
+        raise WrongUse(f"{path} cannot be written ({reason}): {room}name another folder") from error
 
 
 def _check_replaceable(path: Path, *, force: bool) -> None:
@@ -259,7 +276,7 @@ def _check_replaceable(path: Path, *, force: bool) -> None:
     if not force:
         raise WrongUse(_exists(path))
     if not stat.S_ISREG(mode):
-        raise WrongUse(f"{path} is a link or a device, which is never overwritten: name an ordinary file with -o")
+        raise WrongUse(f"{path} is a link or a device, which is never overwritten: name an ordinary file")
 
 
 def _exists(path: Path) -> str:

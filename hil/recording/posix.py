@@ -184,6 +184,18 @@ def keep_durable(file: int, ended: threading.Event) -> OSError | None:
     return None
 
 
+def process_mark(process: int) -> str:
+    """Return a text that no other process has had or will have: when the computer and the process started.
+
+    "" if there is no such process, or if the system does not tell, as on macOS.
+    """
+    try:
+        stat = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+        return f"{since_boot()[0]} {stat.rpartition(')')[2].split()[19]}"
+    except (OSError, IndexError):
+        return ""
+
+
 def is_at(file: int, path: Path) -> bool:
     """Return whether `path` is still the name of the open file."""
     with suppress(OSError):

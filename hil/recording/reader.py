@@ -5,7 +5,8 @@ Layout of a finished file (all numbers little-endian, SI)::
     /                attrs: schema, uid, created (ISO 8601 UTC), complete (bool), end_reason, software (JSON), host,
                      command_line, seed, stand_toml (the whole file), operator_note, sha256 (of the samples),
                      sha256_stored (of the stored bytes), sha256_header (of the rest), lateness_p50, lateness_p99,
-                     lateness_max (s, of the set-points; NaN for other data), missed (ticks that were skipped)
+                     lateness_max (s, of the set-points; NaN for other data), missed (ticks that were skipped),
+                     torque_uncertainty, torque_scale (a run's, see `hil.recording.channels.TorqueScale`)
     /samples/        one 1-D dataset a channel, equal length, attrs unit and description: see hil.recording.channels;
                      torque and joint_torque are one dataset with two names where they are equal
     /profile/        attrs: kind, mode ("torque" or "position"), amplitude (N m or rad at the joint), duration (s),
@@ -30,7 +31,9 @@ A recording in progress is `NAME.h5.part`. It has the same groups, but all sampl
 `/live`, and all events one dataset `/live_events`. Both are preallocated and filled with the end mark. The program
 closes HDF5 before the first row and writes each row at its place in the file, so that the file is valid HDF5 at every
 moment. A row is valid if its `seq` is its index and its checksum is right. Any other row before the last valid one is
-damaged, and is read as lost. `sha256_header` is computed without the events, and there is no `sha256`. The classes of
+damaged, and is read as lost. All bytes before the rows stand again behind the events, with a checksum and the process
+that records (`hil.recording.integrity.second_header`): a file that is cut off, or damaged in its header, is read with
+what is whole. `sha256_header` is computed without the events, and there is no `sha256`. The classes of
 this module read finished recordings and recordings in progress.
 """
 
@@ -52,9 +55,11 @@ from hil.recording.integrity import (
     LIVE,
     check_regular,
     check_samples,
+    damaged_events,
     first_line,
     header_hash,
     intact,
+    is_wiped,
     legible,
     open_file,
     plain,
@@ -111,6 +116,7 @@ class Recording:
         self.window: tuple[float, float] | None = None
         self._first = 0
         self._absent: frozenset[str] = frozenset()
+        self._ends_damaged = False
         self._damaged: NDArray[np.int64] = np.empty(0, dtype=np.int64)
         check_regular(path)
         self._try_out()
@@ -134,6 +140,11 @@ class Recording:
         kept = np.flatnonzero(rows_between(self.path, time, 1.0, part.first, part.last))
         self._first, self._length = int(kept[0]), int(kept[-1] + 1 - kept[0])
         self.window = float(time[kept[0]]), float(time[kept[-1]])
+
+    @property
+    def first(self) -> int:
+        """Return the row of the file at which the part begins."""
+        return self._first
 
     @property
     def name(self) -> str:
@@ -192,6 +203,15 @@ class Recording:
         return len(self._damaged)
 
     @property
+    def damage(self) -> str:
+        """Return what is missing of an unfinished recording because its file is damaged, "" if nothing is."""
+        events = damaged_events(self._file["live_events"][:EVENTS]) if self.live else 0
+        counts = [f"{count} {what}" for count, what in ((self.damaged, "rows"), (events, "events at most")) if count]
+        lost = [f"{' and '.join(counts)} were damaged on the disk and count as lost"] if counts else []
+        last = f"the file is damaged after row {self._whole}: later rows, if there were any, are missing"
+        return "; ".join([*lost, *([last] if self._ends_damaged else [])])
+
+    @property
     def stand_toml(self) -> str:
         """Return the text of the stand file with which the recording was made, "" without a stand file."""
         return str(self.attributes.get("stand_toml", ""))
@@ -247,7 +267,7 @@ class Recording:
         with the hash that it has; an unfinished recording of such a schema has no hash.
         """
         with legible(self.path):
-            intact_rows = not self.damaged if self.live else self._rows_intact(progress)
+            intact_rows = not self.damage if self.live else self._rows_intact(progress)
             return intact_rows and self.header_intact()
 
     def header_intact(self) -> bool:
@@ -349,6 +369,7 @@ class Recording:
         grew = _valid(tail, length).size > 0  # a run that goes on has written them since
         torn = length + np.arange(0 if grew else written_first(tail))
         self._damaged = np.concatenate([*damaged, torn])
+        self._ends_damaged = not grew and is_wiped(tail[len(torn) : len(torn) + 1])
         return length + len(torn)
 
     def _checked_live(self) -> h5py.Dataset:

@@ -23,9 +23,9 @@ import h5py
 import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import END_MARK, ROW, Row, Rows
+from hil.recording.channels import END_MARK, ROW, Row, Rows, TorqueScale
 from hil.recording.final import OVERHEAD, finalise, sign, write_attributes
-from hil.recording.integrity import EVENT, LIVE, packed, packed_array, packed_event
+from hil.recording.integrity import EVENT, LIVE, packed, packed_array, packed_event, second_header
 from hil.recording.output import NameTaken, check_space, new_temporary, part_path, writing
 from hil.recording.posix import is_at, keep_durable, remove, sync_folder, take_name, write_at
 from hil.recording.reader import BLOCK, EVENTS, Array
@@ -35,7 +35,10 @@ from hil.recording.ring import Ring
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The part of a recording that is known before its first row: everything except samples, events and end."""
+    """The part of a recording that is known before its first row: everything except samples, events and end.
+
+    torque_scale: how well the scale of the torque is known, as the drive states it; None without a drive.
+    """
 
     profile: Mapping[str, str | float]
     stand_toml: str = ""
@@ -43,6 +46,7 @@ class Header:
     seed: int = 0
     operator_note: str = ""
     command_line: str = ""
+    torque_scale: TorqueScale | None = None
 
 
 class Place(NamedTuple):
@@ -139,12 +143,19 @@ class RecordingWriter:
         return self._rows + len(self._pending)
 
     def _reserve(self, length: int) -> None:
-        """Write the end mark into all rows, so that a disk without enough space is noticed before the motor is on."""
+        """Write the second header, and the end mark into all rows.
+
+        A disk without enough space is so noticed before the motor is on.
+        """
+        assert self._file is not None  # noqa: S101 - opened just above
+        end = os.fstat(self._file).st_size  # as HDF5 has made it
         blank = packed([Row(END_MARK)]) * min(BLOCK, length)
         for start in range(0, length, BLOCK):
             self._write(blank[: (length - start) * LIVE.itemsize], self._offset + start * LIVE.itemsize)
         self._write(packed_event(math.nan, "", "") * EVENTS, self._event_offset)
-        assert self._file is not None  # noqa: S101 - opened just above
+        os.lseek(self._file, 0, os.SEEK_SET)
+        header = os.read(self._file, self._offset)  # HDF5 has put everything but the two tables before the rows
+        self._write(second_header(header), end)
         os.fsync(self._file)
 
     def _write(self, data: bytes, offset: int) -> None:
@@ -199,11 +210,12 @@ class RecordingWriter:
         self._add(event, self._event_offset + self._events * EVENT.itemsize)
         self._events += 1
 
-    def finish(self, end_reason: str, *, force: bool = False) -> Path:
+    def finish(self, end_reason: str, *, force: bool = False, rows: Rows | None = None) -> Path:
         """Write the final file, remove the `.part`, and return the path of the final file. If that fails, the `.part`
         is kept.
 
-        force: replace an existing file. Raises WrongUse, and Untrustworthy if the disk fails.
+        force: replace an existing file. rows: (n,) of ROW, all rows, where none was added. Raises WrongUse, and
+        Untrustworthy if the disk fails.
         """
         self.flush()
         self._stop_syncing()
@@ -211,7 +223,7 @@ class RecordingWriter:
             raise WrongUse(f"{self.path} is closed already")
         if not is_at(self._file, self.path):
             self._rescue(force=force)
-        finalise(self.path, self.final, end_reason=end_reason, force=force)
+        finalise(self.path, self.final, end_reason=end_reason, force=force, rows=rows)
         file, self._file = self._file, None
         remove(file, self.path)
         return self.final
@@ -250,30 +262,44 @@ class RecordingWriter:
 
 
 def _taken(path: Path) -> NameTaken:
-    return NameTaken(f"{path} is another recording that has not ended (File exists): name another with -o")
+    return NameTaken(f"{path} is another recording that has not ended (File exists): choose another name")
 
 
 def _fill_part(path: Path, header: Header, length: int) -> tuple[int, int]:
     """Write the header and the empty tables of a `.part` into the locked file. Return the byte offsets of the rows and
     of the events.
     """
-    with h5py.File(path, "w", libver="latest", locking=False) as file:  # we have locked it already
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5py.h5f.LIBVER_LATEST, h5py.h5f.LIBVER_LATEST)
+    access.set_file_locking(False, True)  # we have locked it already
+    access.set_sieve_buf_size(0)  # of a write that waits in its memory while the disk is full, HDF5 crashes
+    with h5py.File(h5py.h5f.create(os.fsencode(path), h5py.h5f.ACC_TRUNC, fapl=access)) as file:
         _write_header(file, header)
         file.attrs.update(complete=False, end_reason="")
         sign(file, header.truth, [])
-        return _reserve_contiguous(file, "live", length, LIVE), _reserve_contiguous(file, "live_events", EVENTS, EVENT)
+        tables = _contiguous(file, "live", length, LIVE), _contiguous(file, "live_events", EVENTS, EVENT)
+        file.flush()  # many attributes get their place in the file only now
+        return _reserve_contiguous(tables[0]), _reserve_contiguous(tables[1])
 
 
-def _reserve_contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype[Any]) -> int:
+def _contiguous(file: h5py.File, name: str, length: int, dtype: np.dtype[Any]) -> h5py.Dataset:
+    """Return a new table without a place in the file, so that all that describes the file comes before the tables."""
     settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     settings.set_layout(h5py.h5d.CONTIGUOUS)
-    settings.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    settings.set_alloc_time(h5py.h5d.ALLOC_TIME_LATE)
     settings.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # RecordingWriter fills it itself, with plain writes
     space = h5py.h5s.create_simple((max(length, 1),))  # HDF5 gives an empty dataset no place
-    dataset = h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, settings)
-    offset = dataset.get_offset()
+    return h5py.Dataset(
+        h5py.h5d.create(file.id, name.encode(), h5py.h5t.py_create(dtype, logical=True), space, settings)
+    )
+
+
+def _reserve_contiguous(table: h5py.Dataset) -> int:
+    """Give a table its place in the file, and return the byte offset."""
+    table[0] = np.zeros((), table.dtype)
+    offset = table.id.get_offset()
     if offset is None:
-        raise OSError(f"{name} has no place in the file")
+        raise OSError(f"{table.name} has no place in the file")
     return int(offset)
 
 
@@ -288,6 +314,8 @@ def _write_header(file: h5py.File, header: Header) -> None:
         "stand_toml": header.stand_toml,
         "operator_note": header.operator_note,
     }
+    if header.torque_scale is not None:
+        attributes |= header.torque_scale.attributes()
     write_attributes(file, attributes, header.profile, header.truth)
 
 
@@ -316,10 +344,9 @@ def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: b
     rows["seq"] = np.arange(length)
     for name, values in channels.items():
         rows[name] = values
-    with RecordingWriter(path, header, length) as writer:
+    with RecordingWriter(path, header, 0) as writer:
         try:
-            writer.extend(rows)
-            writer.finish("done", force=force)
+            writer.finish("done", force=force, rows=rows)
         except BaseException:
             writer.discard()
             raise

@@ -7,9 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
+from hil.recording.channels import TorqueScale
 from hil.recording.interval import named
 from hil.report.chart import Band, Chart, Panel, with_intervals
-from hil.report.formatting import diagnostics_json, json_number, people_unit, plain_table, rounded
+from hil.report.formatting import (
+    capitalised,
+    diagnostics_json,
+    json_number,
+    people_unit,
+    plain_table,
+    rounded,
+    rounded_with_value,
+    scale_json,
+    scale_line,
+)
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.provenance import provenance
 
@@ -25,6 +36,7 @@ def as_json(found: Comparison) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "model": found.model,
+        "torque_scale": scale_json(_torque_scale(found)),
         "recordings": [_recording(one) for one in found.recordings],
         "parameters": {one.name: _parameter(one) for one in found.parameters},
         "verdict": [one.verdict for one in found.parameters],
@@ -44,6 +56,7 @@ def _recording(one: Measured) -> dict[str, Any]:
                 "value": estimate.value,
                 "unit": estimate.unit,
                 "ci95": [json_number(end) for end in estimate.ci95],
+                "ci95_without_torque_scale": [json_number(end) for end in estimate.without_scale.ci95],
                 "identifiable": name in one.identifiable,
             }
             for name, estimate in one.estimates.items()
@@ -74,11 +87,21 @@ def _scale(found: Comparison, unit: str) -> tuple[float, str]:
 
 def comparison_table(found: Comparison) -> Table:
     """Return a table with one row for each recording, and below these the pooled value and the variance components."""
-    table = plain_table(f"{found.model}, each recording on its own", _headings(found), _recording_rows(found))
+    table = plain_table(f"{found.model}, {_alone(found)}", _headings(found), _recording_rows(found))
     table.add_section()
     for row in _pooled_rows(found):
         table.add_row(*row)
     return table
+
+
+def _torque_scale(found: Comparison) -> TorqueScale:
+    return TorqueScale.widest(one.torque_scale for one in found.recordings)
+
+
+def _alone(found: Comparison) -> str:
+    """Return the heading of the single recordings, whose errors leave out what all of them share."""
+    without = ", without the uncertainty of the torque's scale" if _torque_scale(found).included else ""
+    return f"each recording on its own{without}"
 
 
 def _headings(found: Comparison) -> list[str]:
@@ -103,6 +126,12 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
     return [[heading, "", *cells] for heading, *cells in zip(headings, *together, strict=True)]
 
 
+def notes(found: Comparison) -> list[str]:
+    """Return the lines below the table: the uncertainty of the torque's scale, which is common to all recordings."""
+    line = scale_line(_torque_scale(found), ", the same in all recordings; only the pooled intervals include it")
+    return [line] if line else []
+
+
 def write_page(found: Comparison, path: Path, command: str = "", *, force: bool) -> Path:
     """Write the HTML report to `path` and return the path. command: the command line, for the report. Raises
     WrongUse.
@@ -116,7 +145,7 @@ def write_page(found: Comparison, path: Path, command: str = "", *, force: bool)
         subject=f"Comparison of {len(paths)} recordings, {found.model}",
         verdict=_pooled(found) or verdicts,
         diagnostics=found.diagnostics,
-        sections=[Section("Each recording on its own", rows, verdicts)],
+        sections=[Section(capitalised(_alone(found)), rows, [*verdicts, *notes(found)])],
         pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: chart(found))],
         provenance=provenance(paths, command),
         table=as_json(found),
@@ -132,7 +161,7 @@ def _pooled(found: Comparison) -> list[str]:
             return []
         factor, unit = _scale(found, one.unit)
         low, high = one.pooled.ci95
-        value, half = rounded(0.5 * (high - low) * factor, one.pooled.value * factor)
+        value, half = rounded_with_value(0.5 * (high - low) * factor, one.pooled.value * factor)
         how = "does not repeat" if one.repeats is False else f"{len(one.recordings)} recordings pooled"
         lines.append(f"{one.name} = {value} ± {half} {unit} ({how})")
     return lines
@@ -141,7 +170,7 @@ def _pooled(found: Comparison) -> list[str]:
 def _cell(found: Comparison, one: Measured, name: str) -> str:
     if name not in one.estimates:
         return "left out"
-    estimate = one.estimates[name]
+    estimate = one.estimates[name].without_scale
     factor = _scale(found, estimate.unit)[0]
     half = estimate.half_width * factor
     if name not in one.identifiable or not math.isfinite(half):
@@ -167,7 +196,7 @@ def chart(found: Comparison) -> Chart:
     for parameter in found.parameters:
         factor, unit = _scale(found, parameter.unit)
         shown = [
-            (index, one.estimates[parameter.name])
+            (index, one.estimates[parameter.name].without_scale)
             for index, one in enumerate(found.recordings)
             if parameter.name in one.identifiable
         ]

@@ -52,8 +52,9 @@ def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
     """Return a table of the predicted peaks and their limits, with one column for each excitation."""
     rows = []
     for index, name in enumerate(LIMITED):
-        cells = [f"{one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
-        rows.append((name, *cells, f"{task.limits[index]:g}", UNITS[index]))
+        factor, unit = people_unit(UNITS[index].replace(" ", "*"), milli=task.limits[1] < 1.0)
+        cells = [f"{factor * one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
+        rows.append((name, *cells, f"{factor * task.limits[index]:g}", unit))
     return plain_table("predicted peaks, and their share of the limit", ("", *judged, "limit", ""), rows)
 
 
@@ -64,7 +65,8 @@ def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> li
     """
     return [
         "The errors are those of hil identify (least absolute deviations), 1.25 times those of least squares in white "
-        "noise.\nFour times the duration halves them. Heating is not predicted.",
+        "noise, without the uncertainty of the torque's scale.\nFour times the duration halves them. Heating is not "
+        "predicted.",
         *(f"{name}, {_limit(one)}:\n  {command(one, stand, task.rate)}" for name, one in judged.items()),
     ]
 

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from hil import units
 from hil.diagnostics import Diagnostic
+from hil.signals.constants import UNCERTAIN
 
 if TYPE_CHECKING:  # rich costs 50 ms
     from rich.table import Table
+
+    from hil.recording.channels import TorqueScale
 
 _PLAIN = (1e-3, 1e4)  # numbers between which no power is needed
 _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
@@ -29,6 +32,11 @@ def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
     return 1.0, units.printed(unit)
 
 
+def capitalised(title: str) -> str:
+    """Return a title with a capital first letter; the other letters stay, because units and names are among them."""
+    return title[:1].upper() + title[1:]
+
+
 def engineering(value: float, unit: str, digits: int = 3) -> str:
     """Return a value with an engineering prefix: "4.02 ms" for 0.00402 s."""
     rounded = float(f"{value:.{digits}g}")
@@ -45,15 +53,22 @@ def duration(seconds: float) -> str:
     return f"{seconds:.4g} s"
 
 
-def rounded(half: float, *values: float) -> list[str]:
-    """Return the values and, as the last text, `half`, all rounded to the first digit of `half`.
+def rounded(half: float, *values: float, digits: int = 1) -> list[str]:
+    """Return the values and, as the last text, `half`, all rounded to the first digit of `half`, or to its first two.
 
-    half: half width of the interval of the values.
+    half: half width of the interval of the values. digits: of `half`.
     """
     if not (math.isfinite(half) and half > 0.0):
         return [f"{value:.5g}" for value in (*values, half)]
-    decimals = -math.floor(math.log10(float(f"{half:.0e}")))
+    decimals = -math.floor(math.log10(float(f"{half:.{digits - 1}e}"))) + digits - 1
     return [f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}" for value in (*values, half)]  # without "-0"
+
+
+def rounded_with_value(half: float, value: float) -> list[str]:
+    """Return a value and half its interval, rounded to the first digit of `half`, or to its first two if the interval
+    is wide: 2.48 ± 0.97, not 2 ± 1.
+    """
+    return rounded(half, value, digits=2 if half > UNCERTAIN * abs(value) else 1)
 
 
 def rounded_in_thousands(half: float, *values: float) -> list[str]:
@@ -79,6 +94,28 @@ def diagnostics_json(diagnostics: Iterable[Diagnostic]) -> dict[str, list[dict[s
     for one in diagnostics:
         found["errors" if one.is_error else "warnings"].append(one.as_json())
     return found
+
+
+def scale_line(scale: TorqueScale, without: str = "") -> str:
+    """Return a line about the uncertainty of the torque's scale; "" if the scale is exact, or nothing is known of it.
+
+    without: the result with the intervals that it has if the scale is exact.
+    """
+    if scale.included:
+        return f"torque scale: {scale.source}, {100.0 * scale.included:.3g} % (standard uncertainty){without}"
+    if not math.isnan(scale.uncertainty) or not scale.source:
+        return ""
+    return (
+        f"torque scale: neither {scale.source} nor the stand file states an uncertainty, so the scale counts as exact: "
+        "give torque_uncertainty in [stand]"
+    )
+
+
+def scale_json(scale: TorqueScale) -> dict[str, Any]:
+    """Return the entry "torque_scale" of a JSON object: the relative standard uncertainty, null if not known, and its
+    source.
+    """
+    return {"uncertainty": json_number(scale.uncertainty), "source": scale.source}
 
 
 def plain_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:

@@ -48,8 +48,9 @@ class Page:
     """The content of a page.
 
     title: name of the recording, and result. verdict: lines with the answer. failed: whether there is no result.
-    sections: the first is above the pictures, the others are below. provenance: pairs of a name and a text. table: the
-    command's JSON object. on_first_page: number of pictures that are shown at once; the others are folded.
+    provenance: pairs of a name and a text. table: the command's JSON object. on_first_page, unfolded: numbers of
+    pictures and of sections that are shown at once, these sections above the pictures; the others are folded. A section
+    with the heading of a picture stands below that picture.
     """
 
     title: str
@@ -62,6 +63,7 @@ class Page:
     table: Mapping[str, Any]
     failed: bool = False
     on_first_page: int = 2
+    unfolded: int = 1
 
     @property
     def state(self) -> str:

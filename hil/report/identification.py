@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ga.model.coupling import CouplingModel
 from hil.recording.interval import named
-from hil.report.formatting import engineering, people_unit, plain_table, rounded, rounded_in_thousands
+from hil.report.formatting import (
+    engineering,
+    people_unit,
+    plain_table,
+    rounded,
+    rounded_in_thousands,
+    rounded_with_value,
+    scale_line,
+)
 from hil.report.lack_of_fit import dynamic_stiffness_table
 from hil.signals import constants as c
 from hil.units import with_unit
@@ -64,8 +73,9 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     low, high = (end * factor for end in estimate.ci95)
     if not math.isfinite(low):
         return f"{estimate.value * factor:.5g}", None, "not identifiable", unit
-    of = rounded if estimate.name in c.COUPLING else rounded_in_thousands
-    value, half = of(estimate.half_width * factor, estimate.value * factor)
+    is_coupling = estimate.name in c.COUPLING
+    of = rounded if is_coupling else rounded_in_thousands
+    value, half = (rounded_with_value if is_coupling else of)(estimate.half_width * factor, estimate.value * factor)
     first, last, _ = of(0.05 * (high - low), low, high)
     return value, half, f"{first} to {last}", unit
 
@@ -141,14 +151,15 @@ def model_selection_table(found: Identification) -> Table:
 
 
 def bands_table(found: Identification) -> Table | None:
-    """Return a table of the dynamic stiffness in frequency bands, also by amplitude; None if the recording is too
-    short.
-    """
+    """Return a table of the dynamic stiffness in frequency bands; None if the recording is too short."""
     if found.dynamic_stiffness is None:
         return None
     factor, stiffness = people_unit("N*m/rad", milli=milli(found))
     damping = people_unit("N*m*s/rad", milli=milli(found))[1]
-    return dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping)
+    table = dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping)
+    if found.torque_scale.included:  # it would hide the shape, for which these intervals are
+        table.title = f"{table.title}, without the uncertainty of the torque's scale"
+    return table
 
 
 def identification_lines(found: Identification) -> list[str]:
@@ -166,6 +177,7 @@ def identification_lines(found: Identification) -> list[str]:
         *_component_lines(found),
         *deflection_lines(found.deflection),
         *_fixture_lines(found),
+        *_scale_lines(found),
         *([] if found.steps else ["the intervals assume this model: --model auto selects its terms from the data"]),
         f"excited band {found.signals.band[0]:.2g} to {found.signals.band[1]:.3g} Hz; "
         f"{found.trials.evaluations} evaluations in {found.seconds:.2f} s",
@@ -197,6 +209,7 @@ def summary_lines(found: Identification) -> list[str]:
         *_component_lines(found),
         *(deflection_lines(found.deflection) if found.deflection and found.deflection.method != "none" else []),
         *_fixture_lines(found),
+        *_scale_lines(found),
         work,
     ]
 
@@ -265,6 +278,15 @@ def _component_lines(found: Identification) -> list[str]:
             f"{estimate.name} of {len(found.recordings)} pooled recordings {why}; the error of one recording is {own}"
         )
     return lines
+
+
+def _scale_lines(found: Identification) -> list[str]:
+    """Return a line about the torque's scale, with the answer for an exact scale; [] if nothing is known of the
+    scale, or the scale is exact.
+    """
+    exact = replace(found, estimates=tuple(one.without_scale for one in found.estimates))
+    line = scale_line(found.torque_scale, f"; if it is exact, {',  '.join(verdicts(exact))}")
+    return [line] if line else []
 
 
 def _fixture_lines(found: Identification) -> list[str]:

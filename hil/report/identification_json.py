@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.report.controller import controller_json
-from hil.report.formatting import diagnostics_json, json_number
+from hil.report.formatting import diagnostics_json, json_number, scale_json
 from hil.report.lack_of_fit import dynamic_stiffness_json, lack_of_fit_json
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def as_json(found: Identification) -> dict[str, Any]:
     """Return the JSON object of `hil identify --json`, SI units; a number that is not finite is null."""
     return {
         **_head(found.recordings, found.model.name, found.preset, found.seed),
+        "torque_scale": scale_json(found.torque_scale),
         "windows": [None if one is None else list(one) for one in found.windows],
         "parameters": {
             estimate.name: _parameter(estimate) | {"trusted": found.trusted(estimate.name)}
@@ -101,6 +102,7 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "value": estimate.value,
         "unit": estimate.unit,
         "ci95": [json_number(end) for end in estimate.ci95],
+        "ci95_without_torque_scale": [json_number(end) for end in estimate.without_scale.ci95],
         "conditional": _conditional(estimate),
         "choice_share": estimate.choice,
         "depends_on": estimate.depends_on,

@@ -28,7 +28,7 @@ from hil.report.identification import (
     verdicts,
 )
 from hil.report.identification_json import as_json
-from hil.report.lack_of_fit import distortion_lines, lack_of_fit_line
+from hil.report.lack_of_fit import lack_of_fit_line
 from hil.report.pictures.recording import recording_chart
 from hil.report.pictures.result import pictures
 from hil.report.provenance import provenance
@@ -72,8 +72,7 @@ def _sections(found: Identification) -> list[Section]:
     if found.steps:
         sections.append(Section("Model selection", table_rows(model_selection_table(found))))
     if bands := bands_table(found):
-        title = f"{bands.title}".capitalize()
-        sections.append(Section(title, table_rows(bands), distortion_lines(found.dynamic_stiffness)))
+        sections.append(Section("Dynamic stiffness", table_rows(bands), [str(bands.title).partition(", ")[2]]))
     text = f"{len(found.trials.fitness)} independent trials. This is how well the search repeats, and no uncertainty."
     lines = [text, *optimum_lines(found)]
     return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), lines)]
@@ -110,5 +109,5 @@ def _seen(at: int, path: Path) -> list[Picture]:
         channels = {name: recording.channel(name) for name in ("time", "command", "torque", "dtheta")}
         units = units_of(recording.profile.get("mode", "torque"))
         text = f"Command, torque and deflection of {path} over {len(recording)} samples, and torque over deflection."
-        return [Picture(f"recording{at}", "The recording", text, lambda: recording_chart(channels, units))]
+        return [Picture(f"recording{at}", f"The recording {path.name}", text, lambda: recording_chart(channels, units))]
     return []

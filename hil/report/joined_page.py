@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
 from hil.report.chart import Chart, Panel, with_intervals
-from hil.report.formatting import people_unit, rounded
+from hil.report.formatting import people_unit, rounded_with_value
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.identification import headline, milli
 from hil.report.identification_json import as_json
@@ -64,7 +64,8 @@ def write_page(entries: Sequence[Entry], path: Path, command: str = "", *, force
         failed=not good,
     )
     if len(good) > 1:
-        text = "; ".join(f"{row[0]}: Kc {row[1]}, Bc {row[2]}" for row in table(good)[1:])
+        headings, *rows = table(good)
+        text = f"{headings[1]} and {headings[2]}. " + "; ".join(f"{row[0]}: {row[1]}, {row[2]}" for row in rows)
         together = Picture("together", "Kc and Bc of each recording", text, lambda: chart(good))
         page = replace(page, pictures=[together, *page.pictures])
     return write(page, path, force=force)
@@ -97,7 +98,7 @@ def _units(entries: Sequence[Entry]) -> tuple[float, tuple[str, str]]:
 def _cell(entry: Entry, name: str, factor: float) -> str:
     if entry.found is None or (estimate := entry.estimate(name)) is None:
         return "no result"
-    text = " ± ".join(rounded(estimate.half_width * factor, estimate.value * factor))
+    text = " ± ".join(rounded_with_value(estimate.half_width * factor, estimate.value * factor))
     return text if entry.found.trusted(name) else f"{text} (not trusted)"
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hil.report.formatting import engineering, json_number, plain_table, rounded
+from hil.report.formatting import json_number, plain_table, rounded
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.uncertainty.dynamic_stiffness import Bands, DynamicStiffness
+    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
     from hil.uncertainty.misfit import LackOfFit
 
 
@@ -54,61 +54,30 @@ def dynamic_stiffness_json(found: DynamicStiffness | None) -> dict[str, Any] | N
     """Return the entry "dynamic_stiffness" of the JSON object, SI units; None if the recording is too short."""
     if found is None:
         return None
-    distortion = found.distortion
     return {
         "instrument": found.instrument,
-        **_bands_json(found.bands),
-        "by_amplitude": [_bands_json(bands) for bands in found.by_amplitude],
-        "distortion": None
-        if distortion is None
-        else {"level": distortion.level, "noise": distortion.noise, "period": distortion.period},
-    }
-
-
-def _bands_json(bands: Bands) -> dict[str, Any]:
-    return {
-        "deflection_rms": bands.deflection,
-        "frequency": bands.frequency.tolist(),
-        "stiffness": bands.stiffness.tolist(),
-        "stiffness_half_width": [json_number(value) for value in bands.stiffness_half_width.tolist()],
-        "damping": bands.damping.tolist(),
-        "damping_half_width": [json_number(value) for value in bands.damping_half_width.tolist()],
-        "coherence": bands.coherence.tolist(),
+        "deflection_rms": found.deflection,
+        "frequency": found.frequency.tolist(),
+        "stiffness": found.stiffness.tolist(),
+        "stiffness_half_width": [json_number(value) for value in found.stiffness_half_width.tolist()],
+        "damping": found.damping.tolist(),
+        "damping_half_width": [json_number(value) for value in found.damping_half_width.tolist()],
+        "coherence": found.coherence.tolist(),
     }
 
 
 def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Table:
     """Return a table of stiffness K'(f) and damping B'(f) with half of their 95 % intervals.
 
-    factor: from SI to the printed units. stiffness, damping: the printed units. If the amplitudes differ, further rows
-    are for the half of the segments with the smaller deflection and the half with the larger deflection.
+    factor: from SI to the printed units. stiffness, damping: the printed units.
     """
-    rows = [row for name, bands in found.groups for row in _band_rows(name, bands, factor)]
-    headings = ["f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence", "deflection, r.m.s."]
-    if not found.by_amplitude:
-        rows, headings = [row[:-1] for row in rows], headings[:-1]
+    known = [(found.stiffness, found.stiffness_half_width), (found.damping, found.damping_half_width)]
+    columns = [
+        [" ± ".join(rounded(factor * error, factor * value)) for value, error in zip(*pair, strict=True)]
+        for pair in known
+    ]
+    frequency = [f"{value:.3g}" for value in found.frequency.tolist()]
+    coherence = [f"{value:.4f}" for value in found.coherence.tolist()]
+    headings = ["f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence"]
+    rows = list(zip(frequency, *columns, coherence, strict=True))
     return plain_table(f"dynamic stiffness, instrument: {found.instrument}", headings, rows)
-
-
-def _band_rows(name: str, bands: Bands, factor: float) -> list[tuple[str, ...]]:
-    rows = []
-    for at, frequency in enumerate(bands.frequency.tolist()):
-        known = (
-            (factor * float(values[at]), factor * float(half[at]))
-            for values, half in (
-                (bands.stiffness, bands.stiffness_half_width),
-                (bands.damping, bands.damping_half_width),
-            )
-        )
-        cells = (" ± ".join(rounded(half, value)) for value, half in known)
-        group = f"{name}, {engineering(bands.deflection, 'rad')}"
-        rows.append((f"{frequency:.3g}", *cells, f"{bands.coherence[at]:.4f}", group))
-    return rows
-
-
-def distortion_lines(found: DynamicStiffness | None) -> list[str]:
-    """Return a line about the harmonic distortion; an empty list if it was not measured."""
-    if found is None or found.distortion is None:
-        return []
-    level, noise, period = found.distortion.level, found.distortion.noise, found.distortion.period
-    return [f"distortion {level:.2%} of the torque, noise {noise:.2%}; the excitation repeats every {period:.3g} s"]

@@ -1,4 +1,6 @@
-"""Detect faults of an angle's readings: a far zero, jumps by a turn, single wrong readings, a frozen angle."""
+"""Detect faults of the readings of an angle: a far zero, jumps by a turn, single wrong readings, a frozen angle; and
+single wrong readings of a torque.
+"""
 
 from __future__ import annotations
 
@@ -157,6 +159,77 @@ def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     return wrong if np.count_nonzero(wrong) <= c.MANY * len(angle) else np.zeros_like(wrong)
 
 
+def outliers(time: Array, torque: Array, angle: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of a torque, N m, are single wrong ones, such as -1 for a failed read, or lie in a
+    burst of up to 5.
+
+    time (n,): s. angle (n,): rad. A torque that repeats, as that of a slow sensor does, is one reading.
+    """
+    new = np.diff(torque, prepend=np.nan) != 0.0
+    if np.count_nonzero(new) < 0.5 * len(new):
+        return np.asarray(outliers(time[new], torque[new], angle[new])[np.cumsum(new) - 1])
+    kept = np.arange(len(torque))
+    while len(kept) > max(c.BURST, (1.0 - c.MANY) * len(torque)):
+        found = _off_motion(time[kept], torque[kept], angle[kept])
+        kept = kept[~found]  # without these, less is usual beside the others
+        if not found.any():
+            return ~np.isin(np.arange(len(torque)), kept)
+    return np.zeros(len(torque), dtype=bool)
+
+
+def _median(values: Array, width: int) -> Array:
+    """Return the medians (n,) of values and their neighbours, `width` in all; beyond the ends, values go on as they
+    came.
+    """
+    from scipy.ndimage import median_filter
+
+    reach = width // 2
+    return np.asarray(median_filter(np.pad(values, reach, mode="reflect", reflect_type="odd"), width)[reach:-reach])
+
+
+def _off_motion(time: Array, torque: Array, angle: Array) -> NDArray[np.bool_]:
+    """Return which readings (n,) of a torque are far from the median of their neighbours, with and without the
+    torque of a spring, a damper and friction.
+
+    Far is more than usual for the readings beside it, and for those at the same deflection: a gap that the joint
+    crosses in a few readings, or a stop, changes the torque at the same deflection again and again. A step, as of
+    friction that reverses, is not far from the median.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    width = 2 * len(_CUBIC) + 1
+    usual = _median(torque, width)
+    off = np.abs(torque - usual)
+    with np.errstate(all="ignore"):  # beside equal stamps
+        rate = np.gradient(angle, time)
+    columns = np.stack([angle, rate, np.sign(rate), np.ones_like(angle)], axis=1)
+    columns = np.nan_to_num(columns, posinf=0.0, neginf=0.0)
+    part = np.flatnonzero(off <= np.quantile(off, c.MOST))[:: len(off) // c.ENOUGH + 1]
+    values = np.linalg.lstsq(columns[part], torque[part], rcond=None)[0]
+    rest = torque - columns @ values
+    both = np.minimum(off, off := np.abs(rest - _median(rest, width)))
+    # near a reversal, friction may have either direction, and more than its usual size
+    moved = np.sign(np.diff(angle, prepend=angle[0]))
+    near = {"size": len(_CUBIC) + 1, "origin": -1}  # three readings before, and three after
+    both -= 2.0 * abs(values[2]) * (maximum_filter(moved, **near) - minimum_filter(moved, **near))
+    steps = np.abs(np.diff(rest, prepend=rest[0]))
+    changes = np.abs(np.diff(torque))
+    least = max(float(changes[changes > 0.0].min(initial=np.inf)), c.ACCURATE * float(np.ptp(usual)))
+    is_far = both > c.WRONG_READING * max(c.SPREAD * float(np.median(off)), least)
+    is_far[_CUBIC.size : -_CUBIC.size] &= time[width - 1 :] - time[: 1 - width] < 2.0 * width * np.median(np.diff(time))
+    far = np.flatnonzero(is_far)
+    # a wrong reading makes two steps, and has others beside it in a burst, but not at its deflection
+    for order, share in ((np.arange(len(off)), 4.0 * c.MANY), (np.argsort(angle), 2.0 * c.MANY)):
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        first = np.clip(place[far] - c.BURST // 2, 0, len(off) - c.BURST)
+        beside = order[first[:, None] + np.arange(c.BURST)]
+        limits = [c.WRONG_READING * c.SPREAD * np.median(off[beside], axis=1)]
+        limits += [c.TORQUE_STEP * np.quantile(one[beside], 1.0 - share, axis=1) for one in (off, steps)]
+        far = far[both[far] > np.max(limits, axis=0)]
+    return np.isin(np.arange(len(off)), far)
+
+
 def far_zero(angle: Array) -> float:
     """Return the middle of an angle's range, rad, if the angle's zero is farther away than 1.5 times the range, else
     0.
@@ -166,11 +239,11 @@ def far_zero(angle: Array) -> float:
     return middle if abs(middle) > c.FAR_ZERO * (high - low) else 0.0
 
 
-def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
+def frozen(time: Array, angle: Array, torque: Array, shortest: float = c.FROZEN_TIME) -> NDArray[np.bool_]:
     """Return a mask (n,) of the samples in which an angle is constant while the torque covers a third of its range.
 
-    time s, angle rad, torque N m. In a pause, or while friction holds the joint, the torque covers less
-    than that.
+    time s, angle rad, torque N m. shortest: time that it lasts at least, s. In a pause, or while friction holds the
+    joint, the torque covers less than that.
     """
     changes = np.flatnonzero(np.diff(angle) != 0.0) + 1
     if not changes.size:
@@ -179,7 +252,7 @@ def frozen(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     lasted = time[edges[1:] - 1] - time[edges[:-1]]
     found = np.zeros(len(angle), dtype=bool)
     usual = float(lasted.sum() - lasted.max()) / (len(lasted) - 1)
-    for at in np.flatnonzero(lasted > max(c.FROZEN_TIME, c.FROZEN_STEPS * usual)).tolist():
+    for at in np.flatnonzero(lasted > max(shortest, c.FROZEN_STEPS * usual)).tolist():
         rows = slice(int(edges[at]) + 1, int(edges[at + 1]))
         found[rows] = np.ptp(np.quantile(torque[rows], (1.0 - c.NEARLY_ALL, c.NEARLY_ALL))) > c.FROZEN_TORQUE * np.ptp(
             torque

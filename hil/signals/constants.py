@@ -48,9 +48,11 @@ STAMPS = 1000  # stamps at each end of a recording from which their unit is foun
 # Faults of an angle
 FAR_ZERO = 1.5  # ranges of the motion, above which the angle's zero is far from it
 BESIDE_JUMP = 0.1  # of a jump or a wrong reading, the most that other steps and its neighbours may have of it
+ZERO_STEPS = 4  # changes of a zero in a recording, at most
+STEP_TURNS = 4  # turns of the motion on each side of such a change, at least
 LARGEST_STEP = 0.25  # of a turn, the most that a joint moves between two readings
 SURE_JUMPS = 3  # jumps from which a range of the encoder that is no whole turn is certain
-TORQUE_STEP = 5.0  # usual steps of the torque, up to which it is continuous at a jump of the angle
+TORQUE_STEP = 5.0  # usual steps of the torque, up to which it is continuous
 FROZEN_TIME = 0.5  # s without a change, from which a reading may be frozen
 FROZEN_STEPS = 10.0  # usual times between two changes, from which a reading may be frozen
 FROZEN_TORQUE = 0.3  # of the torque's range, that the torque covers while a frozen angle stands still
@@ -63,9 +65,8 @@ CLIPPED_COUNT = 3.0  # times as many readings at the sensor's end as at any leve
 CLIPPED_LEVELS = 6  # levels of the torque that are compared, the largest one included
 CLIPPED_MOTION = 5.0  # levels of the torque, by which the joint moves on at the sensor's end
 CLIPPED_BESIDE = 5  # rows on each side of a clipped one, which noise may keep just below the end
-SHORTEST_STEP = 1e-9  # s between two samples, below which the unit of the time is wrong
-STILL_ANGLE = 1e-9  # rad peak to peak, below which an angle never changes
-STILL_TORQUE = 1e-15  # N m peak to peak, below which a torque never changes
+STEPS = (1e-9, 0.5)  # s between two samples: outside, the unit of the time is wrong, or the damping is not seen
+UNCHANGED = 1e-12  # rad or N m peak to peak, below which an angle or a torque never changes
 
 # Noise of the deflection
 WHITE_COUNTS = 40.0  # counts of the motion, peak to peak, below which rounding follows it and is not white noise
@@ -133,12 +134,6 @@ RIPPLE_BEGINS = 2.5  # times the highest frequency of the motion, above which th
 RIPPLE_RISES = 7.0  # times the least density between motion and ripple, that the ripple reaches
 TAPER = 0.02  # of a recording, that is tapered at each end
 
-# A recorded rate
-LONGEST_LAG = 0.5  # of the shortest period, the longest lag of a recorded rate that is tried
-LAGS = 16  # lags a side that are tried first
-SAME_ERRORS = 0.95  # correlation of the errors of two rates, from which they are the same
-INDEPENDENT = 2.0  # independent samples in the shortest period of the band
-
 # Sensors that are slower than the rows
 FEWEST_READINGS = 30  # readings from which a sensor's pace is estimated
 COUNTS_A_TICK = 2.0  # counts in a tick, from which a fast sensor does not repeat a count
@@ -154,12 +149,10 @@ BENDS = 49  # deflections, at most, at which a torque of any shape may bend
 READINGS_A_BEND = 20  # readings for each of these deflections
 BRANCHES = 5  # relaxing branches of a torque of any shape, the fastest as fast as the readings
 SLOWEST_BRANCH = 0.05  # of the recording's length, the relaxation time of the slowest branch
-PACE_ROUNDS = 3  # rounds in which age and drift of the readings are fitted
-NO_DRIFT = 1e-9  # of the power of a drift's torque, below which nothing of it is new
 MS = 1e3  # ms in a second: a solver's tolerances suit numbers of about one
 ROUNDED_MS = 1e-6  # ms, the rounding of a bound
 STRAIGHT = 2.1  # counts, up to which three samples are on a line
-SMALL_COUNT = 0.05  # of the usual bend, above which a count hides the corners between lines
+SMALL_COUNT = 0.05  # of the usual bend or step, above which a count hides the corners between lines, or set-points
 SHARP = 5.0  # times the tolerance of a line, from which a bend is a corner and no smooth motion
 ON_LINES = 0.1  # part of the samples on lines, from which readings may be joined by lines
 ROUGH = 2e-4  # of a sharp bend, up to which rounding to some digits bends a line
@@ -215,13 +208,6 @@ WEAK_BAND = 1e-3  # of the deflection's mean power in all bands, below which a b
 EMPTY_BAND = 1e-9  # the same of instrument and torque, which may be small where the deflection is large
 ALIGNED = 1e-6  # sine of the angle between deflection and rate in a band, below which K' and B' cannot be separated
 FOLLOWS = 0.4  # of the deflection's power, that follows the command; by chance a fifth does
-TWO_AMPLITUDES = 1.5  # ratio of the larger to the smaller deflections, from which they are shown apart
-PERIODIC = 0.98  # correlation of a deflection with itself a period later
-FADING = 0.9  # the same of a whole run, which fades in and out
-STEADY = 0.1  # of a usual period's energy, by which that of a repetition differs at most
-REPEATED = 2  # periods, at least, whose difference is the noise
-EXCITED = 1e-3  # of the strongest line's amplitude, from which a line is excited
-HARMONICS = 3.0  # times the upper end of the band, up to which distortion is looked for
 
 # Tests for lack of fit
 SMALL_TORQUE = 0.05  # part of the samples, those with the smallest torque
@@ -381,4 +367,6 @@ RISE = 0.5  # of friction at speed, by which it is higher at rest: a standard de
 SMALL_RISE = 0.1  # of the same: what is in proportion to it
 GROWTH = 1.0  # of Bc, by which damping is higher at the rate of which it is felt: a standard deviation
 STIFFEST = 2.0  # times Kc, what relaxes faster than the joint moves: a standard deviation
+UNEVEN = 0.03  # of the spring's torque, that a curve, a gap or friction makes unseen: a standard deviation
+BUILDS_UP = 0.05  # of the stroke, over which such friction builds up
 RELAXES = 12  # relaxation times of such a branch, half an octave apart

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,11 @@ from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
 from hil.signals import constants as c
 from hil.signals import slow_channel
-from hil.signals.angle import bursts, frozen, spikes
+from hil.signals.angle import bursts, frozen, outliers, spikes, unwrapped
+from hil.signals.held_torque import smooth_torque
 from hil.signals.slow_channel import Channel, Kind, Readings
-from hil.signals.stamps import spread_stamps, within
+from hil.signals.stamps import mean_step, spread_stamps, within
+from hil.signals.zero_steps import ZeroStep, stuck_torque
 
 Array = NDArray[np.float64]
 
@@ -33,7 +36,8 @@ class Defects:
     with a constant angle while the torque changed. clipped: rows with the torque, or a neighbouring one, at the end of
     the sensor's range while the joint moved on. spikes: rows in which only the angle is wrong. wraps: jumps of the
     angle by a turn, which were removed. jerked: rows beside a jump of the acceleration, whose rate or acceleration is
-    unknown.
+    unknown. wrong_torques: single wrong readings of the torque, N m. stuck_torques: times, s, of rows with a
+    constant torque while the joint moved on. zero_steps: steps of a zero, which were subtracted.
     """
 
     lost: int = 0
@@ -45,42 +49,42 @@ class Defects:
     spikes: int = 0
     wraps: int = 0
     jerked: int = 0
+    wrong_torques: tuple[float, ...] = ()
+    stuck_torques: tuple[float, ...] = ()
+    zero_steps: tuple[ZeroStep, ...] = ()
 
     def __add__(self, other: Defects) -> Defects:
-        return Defects(
-            self.lost + other.lost,
-            self.not_numbers + other.not_numbers,
-            self.near_gaps + other.near_gaps,
-            self.coarse_clock or other.coarse_clock,
-            self.frozen + other.frozen,
-            self.clipped + other.clipped,
-            self.spikes + other.spikes,
-            self.wraps + other.wraps,
-            self.jerked + other.jerked,
-        )
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Defects(*(type(one)(one + another) for one, another in pairs))  # of two flags: whether one is set
 
 
 @dataclass(frozen=True, eq=False)
 class UsableRows:
     """The n rows with a reply and only finite numbers: their index in the file, and the raw readings.
 
+    acting: `torque`, or its smooth part where a drive holds its torque set-points, N m (`held_torque`).
     torque_time: when the torque was read, s, NaN if unknown; equal to `time` unless another device read the torque.
     lost: indices of the rows without a reply. not_numbers: indices of the rows with a NaN. frozen, spikes: indices of
     the rows with a constant or a wrong angle. wraps: the number of jumps of the angle that were removed. clipped (n,):
-    whether the torque was at the end of its range.
+    whether the torque was at the end of its range. stuck (n,): whether it was constant while the joint moved on. wrong
+    (n,): whether it was a single wrong reading; `torque` has an interpolated one there, and wrong_torques (k,) what was
+    read.
     """
 
     row: NDArray[np.int64]
     time: Array
     torque: Array
+    acting: Array
     dtheta: Array
-    reported_rate: Array
     torque_time: Array
     lost: NDArray[np.int64]
     not_numbers: NDArray[np.int64]
     frozen: NDArray[np.int64]
     spikes: NDArray[np.int64]
     clipped: NDArray[np.bool_]
+    stuck: NDArray[np.bool_]
+    wrong: NDArray[np.bool_]
+    wrong_torques: Array
     wraps: int = 0
     _read: dict[tuple[str, Kind | None], Readings] = field(default_factory=dict, init=False, repr=False)
 
@@ -90,6 +94,11 @@ class UsableRows:
         spread.
         """
         return spread_stamps(self.time)
+
+    @property
+    def torque_unknown(self) -> NDArray[np.bool_]:
+        """Return in which rows (n,) the torque was wrong, stuck, or at the end of its range."""
+        return self.clipped | self.stuck | self.wrong
 
     def readings(self, channel: Channel, kind: Kind | None) -> Readings:
         """Return the readings of a channel: all its values, or for a slower sensor only the sensor's own readings.
@@ -108,16 +117,20 @@ class UsableRows:
         included.
         """
         places = {name: getattr(self, name) for name in _LEFT_OUT} | {"clipped": self.row[self.clipped]}
-        counts = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
-        return Defects(**counts, coarse_clock=self.stamps[1], wraps=self.wraps)
+        counts: dict[str, Any] = {name: int(np.count_nonzero(within(place, rows))) for name, place in places.items()}
+        wrong = tuple(self.wrong_torques[within(self.row[self.wrong], rows)].tolist())
+        stuck = tuple(self.time[self.stuck & within(self.row, rows)].tolist())
+        counts |= {"wraps": self.wraps, "coarse_clock": self.stamps[1], "wrong_torques": wrong, "stuck_torques": stuck}
+        return Defects(**counts)
 
 
 def usable_rows(
-    recording: Recording, start: int, stop: int, torque_channel: str, *, rate: bool, own_time: bool
+    recording: Recording, start: int, stop: int, torque_channel: str, *, own_time: bool, held: bool
 ) -> UsableRows:
     """Return the usable rows from `start` to `stop`, with the torque of the channel `torque_channel`.
 
-    rate: whether the recorded rate is read. own_time: whether another device read the torque, with its own stamps.
+    own_time: whether another device read the torque, with its own stamps.
+    held: whether the command is a torque of the motor, which its drive holds.
     """
 
     def channel(name: str) -> Array:
@@ -128,9 +141,8 @@ def usable_rows(
     time = np.where(np.isfinite(read), read, channel("time"))
     torque = channel(torque_channel)
     dtheta = channel("dtheta")
-    reported_rate = channel("dtheta_dot") if rate else np.zeros_like(dtheta)
     good = answered.copy()
-    for column in (time, torque, dtheta, reported_rate):
+    for column in (time, torque, dtheta):
         good &= np.abs(column) < LARGEST  # false for NaN too
     stuck, odd = np.zeros((2, len(time)), dtype=bool)
     finite = slice(None) if good.all() else good  # mostly all are: nothing need be copied
@@ -139,17 +151,24 @@ def usable_rows(
     lost, not_numbers = np.flatnonzero(~answered), np.flatnonzero(answered & ~good)
     good &= ~stuck & ~odd
     kept = slice(None) if good.all() else good
+    stamps, read, angle = time[kept], torque[kept], dtheta[kept]
+    wrong = outliers(stamps, read, unwrapped(angle, read)[0])
+    mended = np.where(wrong, np.interp(stamps, stamps[~wrong], read[~wrong]), read) if wrong.any() else read
+    acting = np.where(wrong, mended, smooth_torque(torque, channel("command"))[kept]) if held else mended
     return UsableRows(
         row=np.flatnonzero(good) + start,
-        time=time[kept],
-        torque=torque[kept],
-        dtheta=dtheta[kept],
-        reported_rate=reported_rate[kept],
+        time=stamps,
+        torque=mended,
+        acting=acting,
+        dtheta=angle,
         torque_time=(channel("joint_time") if own_time else time)[kept],
         lost=lost + start,
         not_numbers=not_numbers + start,
         frozen=np.flatnonzero(stuck) + start,
-        clipped=clipped(dtheta[kept], torque[kept]),
+        clipped=clipped(angle, mended),
+        stuck=stuck_torque(stamps, mended, angle) & ~wrong,
+        wrong=wrong,
+        wrong_torques=read[wrong],
         spikes=np.flatnonzero(odd) + start,
     )
 
@@ -206,20 +225,39 @@ def refuse_hopeless(recording: Recording, time: Array, torque: Array, dtheta: Ar
         raise Untrustworthy(
             f"{name}: time goes backwards after usable row {int(backwards[0])}: correct the time stamps"
         )
-    if np.ptp(time) == 0.0:
-        raise Untrustworthy(f"{name}: every sample has the same time: correct the time stamps")
-    if (step := float(np.ptp(time)) / len(time)) < c.SHORTEST_STEP:
+    _refuse_coarse(name, time)
+    step = mean_step(time)
+    if step < c.STEPS[0]:
         raise Untrustworthy(f"{name}: the samples are {step:.2g} s apart, which no recorder does: check --time-unit")
-    if np.ptp(torque) < c.STILL_TORQUE:
+    if step >= c.STEPS[1]:
+        raise Untrustworthy(
+            f"{name}: the samples are {step:.3g} s apart ({1.0 / step:.2g} Hz), too slow to show the damping of a "
+            "joint: check --time-unit, or measure a slow torsion test with hil hysteresis"
+        )
+    if np.ptp(torque) < c.UNCHANGED:
         raise Untrustworthy(
             f"{name}: {where}the torque never changes: no Kc or Bc can be estimated; check the torque sensor and its "
             "unit"
         )
-    if np.ptp(dtheta) < c.STILL_ANGLE:
+    if np.ptp(dtheta) < c.UNCHANGED:
         larger = again("record a motion of the joint", "--amplitude", imported=recording.imported)
         raise Untrustworthy(
             f"{name}: {where}the deflection never changes: no Kc or Bc can be estimated; {larger} or free the cable"
         )
+
+
+def _refuse_coarse(name: str, time: Array) -> None:
+    """Raise Untrustworthy if so many rows share one stamp (n,), s, that the times of the rows are unknown."""
+    runs = np.diff(np.flatnonzero(np.diff(time, prepend=-np.inf, append=np.inf) > 0.0))
+    count = int(runs.max())
+    if count <= c.PACE_ROWS or (count <= c.MANY * len(time) and np.median(time[c.PACE_ROWS :] - time[: -c.PACE_ROWS])):
+        return
+    kind = "The stamps are whole seconds: when" if (time == np.round(time)).all() else "When"
+    raise Untrustworthy(
+        f"{name}: {count} successive rows share the time stamp {time[runs[: runs.argmax()].sum()]:.7g} s. {kind} each "
+        "of them was read is unknown, and neither Kc nor Bc can be identified. Export the times with all digits and "
+        "their fraction of a second, or leave these rows out"
+    )
 
 
 def refuse_without_rows(recording: Recording, left: int, defects: Defects) -> None:

@@ -10,7 +10,7 @@ rate and acceleration. Raw channels are never altered.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,13 +23,12 @@ from hil.recording.ahead import ahead
 from hil.recording.reader import Recording
 from hil.signals import slow_channel
 from hil.signals.angle import unwrapped
-from hil.signals.constants import FEWEST, MARGIN, PROBE
+from hil.signals.constants import DENSE_READINGS, FEWEST, MARGIN, PROBE
 from hil.signals.defects import Defects, UsableRows, refuse_hopeless, refuse_without_rows, usable_rows
-from hil.signals.rate.own_rate import OwnRate, is_difference, refused_rate
-from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth, window_for
 from hil.signals.slow_channel import Kind, Readings, Slower
 from hil.signals.stamps import starts_within, stretches, within
+from hil.signals.zero_steps import without, zero_steps
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
 
@@ -41,14 +40,13 @@ class Signals:
     """The motion of the joint and its torque.
 
     torque (n,): N m; if the deflection was low-passed, the torque passed the same filter. band: the excited band, Hz.
-    rate_window: the width of the local polynomial, s, 0 if the rate was recorded. torque_from: "joint", "motor",
-    "given" or, for several recordings, "mixed". window: the window of rate and acceleration; for several recordings
-    that of the noisiest; None if the rate was recorded. slower: the sensors that are slower than the ticks. command
-    (n,): the set-points at these times, None if not recorded. refused_rate: how a recorded rate differs from the
-    deflection's derivative, which is why it is not used. unfiltered (n,): the torque as it was read, N m, if different.
-    jerked (n,): which samples are beside a jump of the acceleration, so that rate or acceleration is unknown; None for
-    none. imported: whether one of the recordings is an imported table. motor: inertia, kg m^2, and damping,
-    N m s/rad, of the motor at the joint; 0 if unknown.
+    rate_window: the width of the local polynomial, s. torque_from: "joint", "motor", "given" or, for several
+    recordings, "mixed". window: the window of rate and acceleration; for several recordings that of the noisiest; None
+    for signals that no recording gave. slower: the sensors that are slower than the ticks. command (n,): the set-points
+    at these times, None if not recorded. unfiltered (n,): the torque as it was read, N m, if different. jerked (n,):
+    which samples are beside a jump of the acceleration, so that rate or acceleration is unknown; None for none.
+    imported: whether one of the recordings is an imported table. motor: inertia, kg m^2, and damping,
+    N m s/rad, of the motor at the joint; 0 if unknown. row (n,): the rows of the recording that hold the samples.
     """
 
     motion: Motion
@@ -60,11 +58,11 @@ class Signals:
     window: Window | None = None
     slower: tuple[Slower, ...] = ()
     command: Array | None = None
-    refused_rate: OwnRate | None = None
     unfiltered: Array | None = None
     jerked: NDArray[np.bool_] | None = None
     imported: bool = False
     motor: tuple[float, float] = (0.0, 0.0)
+    row: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -108,6 +106,7 @@ def joined(parts: list[Signals]) -> Signals:
         rate_window=max(part.rate_window for part in parts),
         window=max((part.window for part in parts if part.window), key=lambda one: one.of_deflection, default=None),
         torque_from=parts[0].torque_from if len({part.torque_from for part in parts}) == 1 else "mixed",
+        row=np.concatenate([part.row for part in parts]),
         slower=tuple(dict.fromkeys(one for part in parts for one in part.slower)),
         command=np.concatenate(commands) if len(commands) == len(parts) else None,
         unfiltered=np.concatenate([part.as_read for part in parts]),
@@ -119,20 +118,18 @@ def joined(parts: list[Signals]) -> Signals:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The channels that are read: torque of the motor or of the joint, and a recorded rate or the deflection's slope.
+    """The channels that are read: the deflection, and the torque of the motor or of the joint.
 
     own_time: whether the torque has its own stamps. imported: whether the channels are those of an imported table.
-    torque, dtheta: how these channels show a sensor slower than the ticks. refused: why a recorded rate is not used.
+    torque, dtheta: how these channels show a sensor slower than the ticks.
     """
 
     stand: StandTable | None
     motor_side: bool
-    rate_given: bool
     own_time: bool
     imported: bool
     torque: Kind | None = None
     dtheta: Kind | None = None
-    refused: OwnRate | None = None
 
     @property
     def torque_from(self) -> str:
@@ -148,31 +145,18 @@ class _Columns:
     def rows_of(self, recording: Recording, start: int, stop: int) -> UsableRows:
         """Return the usable rows from `start` to `stop`."""
         torque = "motor_torque" if self.motor_side else "torque"
-        return usable_rows(recording, start, stop, torque, rate=self.rate_given, own_time=self.own_time)
+        held = self.motor_side and recording.profile.get("mode") == "torque"
+        return usable_rows(recording, start, stop, torque, own_time=self.own_time, held=held)
 
     def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
-        """Return the columns and the windows for the usable rows.
-
-        The columns are updated: these rows show which sensors are slower than the ticks, and whether the recorded rate
-        is used.
-        """
+        """Return the columns, with the sensors that these rows show to be slower than the ticks, and the windows."""
         columns = self._slower(usable)
-        window = _window(usable, columns)
-        if not columns.rate_given:
-            return columns, window
-        time = usable.stamps[0]
-        derived = np.where(window.sound(time), window.moved(time, usable.dtheta)[1], np.nan)
-        if is_difference(time, usable.dtheta, usable.reported_rate, derived):
-            return replace(columns, rate_given=False), window
-        refused = refused_rate(
-            time, usable.torque, usable.dtheta, usable.reported_rate, derived, highest=window.band[1]
-        )
-        return replace(columns, rate_given=refused is None, refused=refused), window
+        return columns, _window(usable, columns)
 
     def _slower(self, usable: UsableRows) -> _Columns:
         torque = None if self.own_time else slow_channel.kind_of(usable.stamps[0], usable.torque)
         dtheta = slow_channel.kind_of(usable.stamps[0], usable.dtheta)
-        return replace(self, torque=torque, dtheta=dtheta, rate_given=self.rate_given and dtheta is None)
+        return replace(self, torque=torque, dtheta=dtheta)
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:
@@ -187,7 +171,17 @@ def prepare(recording: Recording, stand: StandTable | None) -> Signals:
     # of a part of a recording it would not be known by how many turns it is off
     dtheta, wraps = unwrapped(usable.dtheta, usable.torque)
     usable = replace(usable, dtheta=dtheta, wraps=wraps)
-    found = _signals(usable, *columns.seeing(usable), (0, len(recording)))
+    columns, window = columns.seeing(usable)
+    found = _signals(usable, columns, window, rows := (0, len(recording)))
+    if len(found) > FEWEST and (steps := zero_steps(found.motion, found.as_read - found.motion.known)):
+        through = _at_joint(np.ones(1), columns)[0]
+        torque, acting = (
+            without(steps, "torque", usable.time, one, 1.0 / through) for one in (usable.torque, usable.acting)
+        )
+        dtheta = without(steps, "deflection", usable.time, usable.dtheta)
+        usable = replace(usable, torque=torque, acting=acting, dtheta=dtheta)
+        found = _signals(usable, columns, window, rows)
+        found = replace(found, defects=replace(found.defects, zero_steps=tuple(steps)))
     refuse_without_rows(recording, len(found), found.defects)
     return found
 
@@ -260,10 +254,8 @@ def _columns_of(recording: Recording, stand: StandTable | None) -> _Columns:
         return bool(np.isfinite(recording.channel(name, 0, PROBE)).any())
 
     from_motor = stand is not None and stand.torque_source == "motor" and present("motor_torque")
-    rate_given = present("dtheta_dot") and not present("motor_position")
-    return _Columns(
-        stand, from_motor, rate_given, own_time=not from_motor and present("joint_time"), imported=recording.imported
-    )
+    own_time = not from_motor and present("joint_time")
+    return _Columns(stand, from_motor, own_time=own_time, imported=recording.imported)
 
 
 def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[int, int]) -> Signals:
@@ -273,36 +265,33 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     if len(usable.row) < FEWEST:
         return _nothing(usable, columns, window, rows)
     (stamps, _), angle = usable.stamps, usable.readings("deflection", columns.dtheta)
-    time, dtheta = angle.time, angle.value
-    if columns.rate_given:
-        rate = usable.reported_rate
-        acceleration = local_polynomial(time, rate, window.curvature, 1)
-    else:
-        dtheta, rate, acceleration = window.moved(time, dtheta)
-    known = _motor_share(rate, acceleration, columns)
+    time = angle.time
+    dtheta, rate, acceleration = window.moved(time, angle.value)
     inside = within(usable.row[angle.row], rows)
-    sound = window.has_acceleration(time) if columns.rate_given else window.sound(time)
-    own, over = _own_readings(usable, columns), usable.clipped[angle.row]
+    sound = window.sound(time) & np.isfinite(rate + acceleration)  # rows of a single stamp between two pauses have none
+    own, over = _own_readings(usable, columns), usable.torque_unknown[angle.row]
     starts, long_enough = stretches(time, sound & ~over if own is None else sound, window.step)
     kept = long_enough & (inside if own is None else True)
-    is_filtered = own is None and not columns.rate_given and window.low_pass
-    jerks = not columns.rate_given and window.jerks
-    jerked = window.jerked(time, dtheta, rate, acceleration)[kept] if jerks else None
+    is_filtered = own is None and window.low_pass
+    jerked = window.jerked(time, dtheta, rate, acceleration)[kept] if window.jerks else None
     motion = Motion(
         time[kept],
         dtheta[kept],
         rate[kept],
         acceleration[kept],
-        known[kept],
+        _motor_share(rate, acceleration, columns)[kept],
         starts=starts_within(starts, kept),
-        rate_noise=None if columns.rate_given else window.noise,
+        rate_noise=window.noise,
         behind=window if is_filtered else None,
     )
+    # many readings in a period follow the steps of the torque
+    acting = usable.torque if 1.0 / window.step > DENSE_READINGS * window.band[1] else usable.acting
+    held = angle.row[kept]
     if own is None:
-        torque = (window.alike(time, usable.torque) if is_filtered else usable.torque)[kept]
+        torque = (window.alike(time, acting) if is_filtered else acting)[kept]
     else:
-        angle_time = motion.time
-        motion, torque = _at_readings(motion, own, within(usable.row[own.row], rows) & ~usable.clipped[own.row])
+        angle_time, wanted = motion.time, within(usable.row[own.row], rows) & ~usable.torque_unknown[own.row]
+        motion, torque, held = _at_readings(motion, own, wanted)
         jerked = None if jerked is None else _beside(jerked, angle_time, motion.time)
     return Signals(
         motion=motion,
@@ -313,13 +302,13 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
             jerked=0 if jerked is None else int(np.count_nonzero(jerked)),
         ),
         band=window.band,
-        rate_window=0.0 if columns.rate_given else (2 * window.slope + 1) * window.step,
-        window=None if columns.rate_given else window,
+        rate_window=(2 * window.slope + 1) * window.step,
+        window=window,
         torque_from=columns.torque_from,
+        row=usable.row[held],
         slower=slow_channel.slower(columns.torque, own, columns.dtheta, angle, stamps),
-        refused_rate=columns.refused,
         jerked=jerked,
-        unfiltered=_at_joint(usable.torque[kept], columns) if is_filtered else None,
+        unfiltered=_at_joint(acting[kept], columns) if is_filtered else None,
         imported=columns.imported,
         motor=columns.motor,
     )
@@ -339,24 +328,20 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     )
 
 
-def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array]:
-    """Return the motion at torque readings, and these readings, N m.
+def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array, NDArray[np.int64]]:
+    """Return the motion at torque readings, these readings, N m, and the samples that hold them.
 
     own: the sensor's own readings. wanted (m,): which of them are returned, if they lie within a piece.
     """
     own = replace(own, row=own.row[wanted], time=own.time[wanted], value=own.value[wanted])
-    for is_last in (own.drifts == 0.0, True):
-        at = motion.at(own.time) if len(motion) else motion
-        if len(at) < FEWEST:
-            raise Untrustworthy(
-                f"the torque cell gave only {len(at)} readings beside those of the angle, and Kc and Bc need at least "
-                f"{FEWEST}: record for longer, or check whether the clock of the cell's times stands still"
-            )
-        found = own.value[np.searchsorted(own.time, at.time)]
-        if is_last:
-            break
-        own = replace(own, time=slow_channel.repaced(own, motion))
-    return at, found
+    at = motion.at(own.time) if len(motion) else motion
+    if len(at) < FEWEST:
+        raise Untrustworthy(
+            f"the torque cell gave only {len(at)} readings beside those of the angle, and Kc and Bc need at least "
+            f"{FEWEST}: record for longer, or check whether the clock of the cell's times stands still"
+        )
+    place = np.searchsorted(own.time, at.time)
+    return at, own.value[place], own.row[place]
 
 
 def _beside(jerked: NDArray[np.bool_], time: Array, wanted: Array) -> NDArray[np.bool_]:

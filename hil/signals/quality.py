@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,6 @@ from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
 from hil.signals.prepare import Signals
-from hil.signals.rate.own_rate import OwnRate
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
 from hil.signals.stamps import mean_step
@@ -34,9 +34,8 @@ class Quality:
     torque comes from: "joint", "motor", "given" or "mixed". torque, N m, and deflection, rad: peak to peak.
     deflection_lsb: the smallest step between readings, rad. torque_noise: standard deviation of the torque about a
     local polynomial, N m. snr: ratio of the torque's variance to that noise's, dB; infinite without noise. slower: the
-    sensors that are slower than the ticks. highest: the frequency up to which the joint moved, Hz. refused_rate: how a
-    recorded rate that is not used differs from the deflection's derivative. negative: the stiffness, N m/rad, if a sign
-    is wrong.
+    sensors that are slower than the ticks. highest: the frequency up to which the joint moved, Hz. negative: the
+    stiffness, N m/rad, if a sign is wrong. has_unused_rate: whether the table has a column with the rate.
     """
 
     samples: int
@@ -51,8 +50,14 @@ class Quality:
     snr: float
     slower: tuple[Slower, ...] = ()
     highest: float = 0.0
-    refused_rate: OwnRate | None = None
     negative: float | None = None
+    has_unused_rate: bool = False
+
+
+_UNUSED_RATE = (
+    "the recorded rate is not used: most such rates are filtered or rounded, which changes Bc. The derivative of the "
+    "deflection takes its place, so Kc and Bc are not affected. Leave the column out"
+)
 
 
 def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects) -> Quality:
@@ -81,7 +86,7 @@ def assess(recording: Recording, stretches: Sequence[Signals], defects: Defects)
         snr=10.0 * float(np.log10(max(variance, 1e-300) / noise**2)) if noise > 0.0 else float("inf"),
         slower=stretches[0].slower,
         highest=max(stretch.band[1] for stretch in stretches),
-        refused_rate=stretches[0].refused_rate,
+        has_unused_rate=_has_unused_rate(recording),
         negative=negative[0] if len(negative) == len(stretches) else None,
     )
 
@@ -97,14 +102,21 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *([] if quality.negative is None else [wrong_sign(quality.negative, imported=imported)]),
         *_unfinished(recording),
         *_unused_rows(quality, imported=imported),
+        *_wrong_torques(quality.defects, quality.samples),
         *_unknown_rates(quality.defects, quality.samples, imported=imported),
         *([driven_by_position(is_error=True, imported=imported)] if by_position else []),
         *_weaknesses(quality, imported=imported),
         *(_slow(one, quality.highest, imported=imported) for one in quality.slower),
-        *([quality.refused_rate.diagnostic()] if quality.refused_rate else []),
+        *([Diagnostic("unused-rate", _UNUSED_RATE)] if quality.has_unused_rate else []),
         *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
     ]
+
+
+def _has_unused_rate(recording: Recording) -> bool:
+    """Return whether the table has a rate. A recorder computes one from the motor's position, for the limits alone."""
+    rate, position = (recording.channel(name, 0, ENOUGH) for name in ("dtheta_dot", "motor_position"))
+    return bool(np.isfinite(rate).any() and not np.isfinite(position).any())
 
 
 def _swing(peak_to_peak: float) -> Swing:
@@ -115,9 +127,9 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
     if recording.complete:
         return []
     why = str(recording.attributes.get("end_reason", "")) or "it never ended"
-    return [
-        Diagnostic("unfinished", f"{recording.name} is not a complete run ({why}): its {len(recording)} rows are used")
-    ]
+    damage = recording.damage and f"; {recording.damage}"
+    text = f"{recording.name} is not a complete run ({why}): its {len(recording)} rows are used{damage}"
+    return [Diagnostic("unfinished", text)]
 
 
 def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
@@ -160,6 +172,39 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             "Bc are not affected. Set the encoder's zero so that the joint does not pass it"
         )
         found.append(Diagnostic("angle-wrapped", text))
+    return found
+
+
+def _wrong_torques(defects: Defects, rows: int) -> list[Diagnostic]:
+    """Return the warnings about single wrong readings of the torque, and about changes of a zero."""
+    found = []
+    if defects.wrong_torques:
+        value, times = Counter(defects.wrong_torques).most_common(1)[0]
+        often = f", {value:.6g} N m in {times} of them," if times > 1 else ""
+        text = (
+            f"the torque of {len(defects.wrong_torques)} of {rows} rows{often} is far from the readings before and "
+            "after, while the joint moved on. These rows are left out; Kc and Bc come from the other rows. Such a "
+            "value often stands for a failed read: check the cable of the torque sensor, and the logger"
+        )
+        found.append(Diagnostic("invalid-readings", text))
+    if stuck := defects.stuck_torques:
+        text = (
+            f"the torque of {len(stuck)} of {rows} rows, from {stuck[0]:.6g} s to {stuck[-1]:.6g} s, is constant while "
+            "the joint moved on. These rows are left out; Kc and Bc come from the other rows. Check the torque sensor, "
+            "its cable, and the logger"
+        )
+        found.append(Diagnostic("invalid-readings", text))
+    if defects.zero_steps:
+        steps = [
+            f"the zero of the {channel} changes by {1e3 * size:.3g} {'mN m' if channel == 'torque' else 'mrad'} at "
+            f"{time:.6g} s"
+            for channel, _, time, size in defects.zero_steps
+        ]
+        text = (
+            f"{'; '.join(steps)}, as after a tare or a restart. The change is subtracted, so Kc and Bc hold for all "
+            "rows. To check them, identify the rows before and after it alone, with --from and --to"
+        )
+        found.append(Diagnostic("invalid-readings", text))
     return found
 
 
@@ -223,6 +268,8 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
     text += ". Only the sensor's own readings are used"
     if one.unsure > UNSURE_AGE * one.tick:
         text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
+    if one.drifts > UNSURE_AGE * one.tick:
+        text += f". Their age may change by {1e3 * one.drifts:.2g} ms during the recording, so Bc is less certain"
     text += ". Record the sensor's own readings with its own time stamps"
     return Diagnostic("slow-sensor", text, "Bc")
 

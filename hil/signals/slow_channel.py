@@ -48,7 +48,7 @@ class Slower:
     """A channel whose sensor is slower than the ticks.
 
     step: the usual time between its readings, s. tick: the usual time between ticks, s. unsure: the range, s, of the
-    unknown age that its readings have in common.
+    unknown age that its readings have in common. drifts: the largest change of this age, s.
     """
 
     channel: Channel
@@ -56,6 +56,7 @@ class Slower:
     step: float
     tick: float
     unsure: float
+    drifts: float = 0.0
 
 
 def kind_of(time: Array, values: Array) -> Kind | None:
@@ -83,9 +84,9 @@ def slower(
     """
     found, step = [], float(np.median(np.diff(stamps))) if torque or dtheta else np.nan
     if torque is not None and own is not None:
-        found.append(Slower("torque", torque, own.step, step, own.unsure))
+        found.append(Slower("torque", torque, own.step, step, own.unsure, own.drifts))
     if dtheta is not None:
-        found.append(Slower("deflection", dtheta, angle.step, step, angle.unsure))
+        found.append(Slower("deflection", dtheta, angle.step, step, angle.unsure, angle.drifts))
     return tuple(found)
 
 
@@ -100,43 +101,6 @@ def stamped(time: Array, values: Array) -> Readings:
     return Readings(row, time[row], values[row])
 
 
-def repaced(own: Readings, motion: Motion) -> Array:
-    """Return the times (m,), s, of torque readings (m,) at a pace that also fits the motion (n,) at these times.
-
-    If a cell's pace is nearly a multiple of the ticks', the ticks do not determine the pace exactly, and the age of the
-    readings would drift over a recording. Cell and ticks may also share a clock. A drift is corrected only if the
-    torque shows it for every shape of the torque over the deflection, including friction and relaxation. The age itself
-    is estimated too, although the model's skew includes it: with another age, friction reverses at other times, which
-    no shape describes.
-    """
-    time, torque = own.time, own.value
-    few = slice(None, None, -(-len(time) // c.PACE_READINGS))  # no more than these
-    since = time - 0.5 * float(time[0] + time[-1])
-    most = own.drifts / max(float(np.ptp(time)), own.drifts)
-    age = drift = 0.0
-    for _ in range(c.PACE_ROUNDS):
-        when = (time + age + drift * since)[few]
-        at = motion.at(when)
-        rows = np.searchsorted(when, at.time)
-        seen, (shapes, growth) = torque[few][rows], _shapes(at)
-        changes = growth @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
-        known, drifting = np.column_stack([shapes, changes]), changes * since[few][rows]
-        alone = drifting - known @ np.linalg.lstsq(known, drifting, rcond=None)[0]
-        power = float(alone @ alone)
-        if power <= c.NO_DRIFT * float(drifting @ drifting):
-            return time
-        more = float(alone @ seen) / power
-        older = np.linalg.lstsq(known, seen - more * drifting, rcond=None)[0][-1]
-        age = float(np.clip(age + older, -own.unsure, own.unsure))
-        drift = float(np.clip(drift + more, -most, most))
-    everything = np.column_stack([known, drifting])
-    left = seen - everything @ np.linalg.lstsq(everything, seen, rcond=None)[0]
-    scores = [float(part.sum()) for part in np.array_split(alone * left, c.BLOCKS)]
-    if abs(drift) <= c.SURE * float(np.linalg.norm(scores)) / power:
-        return time
-    return np.asarray(time + drift * since)
-
-
 def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
     """Return the standard deviation, N m, of the part of the readings (m,) that no torque of the motion (n,) explains.
 
@@ -149,38 +113,29 @@ def noise_beside_any_shape(own: Readings, motion: Motion) -> float:
         return 0.0
     few = slice(None, None, -(-len(time) // c.PACE_READINGS))
     at = motion.at(time[few])
-    shapes, _ = _shapes(at)
+    shapes = _shapes(at)
     seen = own.value[inside][few][np.searchsorted(time[few], at.time)]
     left = seen - shapes @ np.linalg.lstsq(shapes, seen, rcond=None)[0]
     free = max(len(left) - shapes.shape[1], 1)
     return float(c.SPREAD * np.median(np.abs(left)) * np.sqrt(len(left) / free))
 
 
-def _shapes(motion: Motion) -> tuple[Array, Array]:
-    """Return the possible components of a torque (n, k), each of about size one, and their derivatives (n, k), 1/s.
+def _shapes(motion: Motion) -> Array:
+    """Return the possible components of a torque (n, k), each of about size one.
 
     The components are a line that bends at several deflections, friction that grows with the deflection, damping that
-    grows with the rate, branches that relax, and an inertia, which also stands for the second-order effect of an age.
+    grows with the rate, branches that relax, and an inertia.
     """
     scale, fastest = float(np.ptp(motion.dtheta)) or 1.0, float(np.max(np.abs(motion.dtheta_dot))) or 1.0
     x, v = (motion.dtheta - motion.dtheta.min()) / scale, motion.dtheta_dot / fastest
-    a, growth, sign = motion.dtheta_ddot / fastest, motion.dtheta_dot / scale, np.sign(motion.dtheta_dot)
+    a, sign = motion.dtheta_ddot / fastest, np.sign(motion.dtheta_dot)
     many = min(c.BENDS, len(x) // c.READINGS_A_BEND)
     places = np.unique(np.quantile(x, np.arange(1, many + 1) / (many + 1.0)))
-    bent = x[:, None] - places
-    size, none = float(np.max(np.abs(a))) or 1.0, np.zeros_like(x)
-    whole, rows = motion.whole
-    slow = np.geomspace(
-        float(np.median(np.diff(motion.time))), c.SLOWEST_BRANCH * float(np.ptp(motion.time)), c.BRANCHES
-    )
+    size, (whole, rows) = float(np.max(np.abs(a))) or 1.0, motion.whole
+    slow = np.geomspace(motion.step, c.SLOWEST_BRANCH * float(np.ptp(motion.time)), c.BRANCHES)
     relaxing = [whole.lagged(whole.dtheta_dot, constant)[rows] / fastest for constant in slow]
     shapes = [np.ones_like(x), x, v, a / size, v * np.abs(v), sign, x * sign, *relaxing]
-    changes = [none, growth, a, np.gradient(a, motion.time) / size, 2.0 * np.abs(v) * a, none, growth * sign]
-    changes += [(v - left) / constant for left, constant in zip(relaxing, slow, strict=True)]
-    return (
-        np.stack([*shapes, *np.maximum(bent, 0.0).T], axis=1),
-        np.stack([*changes, *(growth[:, None] * (bent > 0.0)).T], axis=1),
-    )
+    return np.stack([*shapes, *np.maximum(x[:, None] - places, 0.0).T], axis=1)
 
 
 def _is_held(values: Array, count: float) -> bool:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.errors import Untrustworthy
-from hil.printable import quoted
 from hil.recording.ahead import Progress
+from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
 from hil.recording.reader import Recording
 from hil.stand.file import LimitsTable, Stand, StandTable, parse
@@ -38,20 +38,17 @@ class Source:
         return None if self.stand is None else self.stand.limits
 
     @property
-    def torque_uncertainty(self) -> float:
-        """Return the relative standard uncertainty of the torque's scale; 0 if no stand gives one."""
-        return 0.0 if self.table is None else self.table.torque_uncertainty
+    def torque_scale(self) -> TorqueScale:
+        """Return how well the torque's scale is known: as the stand file states it, otherwise as the drive did."""
+        recorded = TorqueScale.stored(self.recording.attributes)
+        return recorded if self.stand is None else self.stand.torque_scale(recorded)
 
     def verify(self, progress: Progress | None = None) -> None:
         """Raise Untrustworthy if the recording has changed since it was written. progress: called with the checked
         fraction.
         """
-        if self.recording.damaged:
-            raise Untrustworthy(
-                f"{self.path}: {self.recording.damaged} rows are not the ones that were written: make a recording in "
-                f"which they count as lost with `hil recover {quoted(self.path)}`"
-            )
-        if not self.recording.verify(progress):
+        recording = self.recording
+        if not (recording.header_intact() if recording.live else recording.verify(progress)):
             raise Untrustworthy(
                 f"{self.path} is not as it was written (its SHA-256 differs), so Kc and Bc cannot be identified from "
                 "it: use another copy of the file, or record again"

@@ -13,14 +13,17 @@ Array = NDArray[np.float64]
 
 
 def pieces(time: Array) -> list[slice]:
-    """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause."""
+    """Return the pieces between the pauses in rising stamps (n,), s. A gap of a few lost rows is no pause, and no step
+    of a coarse clock.
+    """
     steps = np.diff(time)
+    tick = c.APART * float(np.median(steps[steps > 0.0])) if (steps == 0.0).any() and steps.any() else 0.0
     usual = (
         float(np.median(time[c.PACE_ROWS :] - time[: -c.PACE_ROWS])) / c.PACE_ROWS
         if len(time) > c.PACE_ROWS
         else np.inf
     )
-    ends = np.flatnonzero(steps > usual * max(c.APART, c.MANY * len(time))) + 1
+    ends = np.flatnonzero(steps > max(usual * max(c.APART, c.MANY * len(time)), tick)) + 1
     return [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time)])]
 
 
@@ -86,7 +89,7 @@ def _before_rounding(time: Array, near: float) -> Array:
     if near and unit <= pace:
         unit = c.PACKET_LATE * float(np.median(steps[steps > near]))
     repeat = bool((steps <= near).any())
-    if unit == 0.0 or len(time) < 2 * c.SHORTEST_PIECE or repeat is (unit <= pace):
+    if unit * pace == 0.0 or len(time) < 2 * c.SHORTEST_PIECE or repeat is (unit <= pace):
         return time
     usual = np.inf if repeat else float(np.mean(steps[steps < 2.0 * np.median(steps)]))
     # no row is lost, or rows are

@@ -19,7 +19,7 @@ def long_delay(signals: Signals, longest: float) -> str:
     motion = signals.motion
     if signals.slower or motion.part_of is not None or len(motion.starts) > 1:
         return ""
-    late = _delay(signals, float(np.median(np.diff(motion.time))))
+    late = _delay(signals, motion.step)
     if late <= longest:
         return ""
     return (

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse, meant
 from hil.quantities import Place, Usual, in_si, keys_of
+from hil.recording.channels import TorqueScale
 from hil.recording.input import read_text
 from hil.stand.calibration import CalibrationTable
 from hil.stand.devices import BACKENDS, SENSORS, HasLargestTorque, check_sensor
@@ -33,6 +34,7 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 LARGEST = 1 << 20
 """The largest allowed size of a stand file, bytes."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Ident = Annotated[int, Field(ge=0, le=0x7FF)]
 
 
 _LARGEST_VALUE, _SMALLEST_VALUE = 1e15, 1e-15
@@ -43,7 +45,8 @@ them overflows.
 _BEYOND = 20.0  # times what the drive can apply: no limit can be meant to lie there
 _SLOWEST = 30.0  # rad/s^2: the drive's largest torque divided by the motor's inertia is 600 to 25,000 in known motors
 
-_Error = tuple[Place, str]  # where it is, and what is wrong
+Error = tuple[Place, str]
+"""The keys of a wrong value, and a sentence about it."""
 
 
 class _Table(BaseModel):
@@ -56,9 +59,11 @@ class StandTable(_Table):
     gear_ratio: motor turns for one joint turn. motor_inertia: kg m^2, at the motor shaft. motor_damping: N m s/rad, at
     the motor shaft. torque_source: "joint" for a torque cell at the locked joint, "motor" to compute the torque from
     the motor's torque through equation (1). torque_uncertainty: relative standard uncertainty of the torque's scale
-    (torque constant or cell). zero: the angle, rad, that the drive shows where the stand's motor angle is zero.
-    torque_stays_on_if_host_dies: true accepts a drive that keeps its last torque when this computer stops; without it
-    such a drive is not driven.
+    (torque constant or cell); not set: what the drive states for its motor's torque. zero: the angle, rad, that the
+    drive shows where the stand's motor angle is zero. torque_stays_on_if_host_dies: true accepts a drive that keeps its
+    last torque when this computer stops; without it such a drive is not driven. holding_ids: the ids of other drives on
+    the drive's bus that may hold torque, such as the motor that locks the joint. hand_ids: the ids of all drives of a
+    hand by the names of their joints: their torque is switched off together.
     """
 
     name: str = "unnamed stand"
@@ -70,6 +75,8 @@ class StandTable(_Table):
     torque_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     zero: Annotated[Finite, Unit("rad")] = 0.0
     torque_stays_on_if_host_dies: bool = False
+    holding_ids: list[Ident] = []
+    hand_ids: dict[str, Ident] = {}
 
 
 class LimitsTable(_Table):
@@ -105,6 +112,7 @@ class Stand:
     backend. sensor: kind and table of the joint sensor, None without a joint sensor. text: the file as written.
     calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding]. keeps_torque: whether
     each drive, by name, kept its torque in a test. path: of the file, None if the stand was not read from a file.
+    joint: the name of the joint if that file describes a hand, "" if it describes this stand only.
     """
 
     stand: StandTable
@@ -116,12 +124,21 @@ class Stand:
     winding: WindingTable | None = None
     keeps_torque: Mapping[str, bool] = field(default_factory=dict)
     path: Path | None = None
+    joint: str = ""
 
     @property
     def sim(self) -> SimParameters:
         """The table [sim]; its default if the file has no such table."""
         parameters: SimParameters = self.devices.get("sim") or SimParameters()
         return parameters
+
+    def torque_scale(self, recorded: TorqueScale) -> TorqueScale:
+        """Return how well the torque's scale is known. recorded: what the drive stated, which holds if [stand] has no
+        `torque_uncertainty`.
+        """
+        if "torque_uncertainty" not in self.stand.model_fields_set:
+            return recorded
+        return TorqueScale(self.stand.torque_uncertainty, "torque_uncertainty of the stand file")
 
     def simulated(self) -> SimParameters:
         """Return the parameters of [sim]. What [sim.motor] does not set is taken from [stand].
@@ -202,25 +219,37 @@ def checked(stand: Stand, name: str) -> Stand:
 
     name: of the file. The stand file in a recording is not checked, because its run is over.
     """
+    wrong = implausible(stand)
+    if wrong:
+        raise errors_in(name, [numbered(stand.text, *one) for one in wrong], len(wrong))
+    return stand
+
+
+def implausible(stand: Stand) -> list[Error]:
+    """Return an error for a torque limit or inertia without a unit that no one means with the stand's drive."""
     drive = stand.devices.get(str(stand.stand.backend), stand.sim if stand.stand.backend == "sim" else None)
     largest = drive.largest_torque if isinstance(drive, HasLargestTorque) else math.inf
-    table, wrong = parsed(stand.text, name), dict[Place, str]()
+    table, wrong = parsed(stand.text, "the stand file"), list[Error]()
     limit, inertia = table.get("limits", {}).get("torque"), table["stand"].get("motor_inertia", "")
     at_joint = largest * stand.stand.gear_ratio
     if isinstance(limit, int | float) and limit > _BEYOND * at_joint:
-        wrong["limits", "torque"] = (
+        said = (
             f"{limit:g} would be {limit:g} N m, {limit / at_joint:.0f} times the {at_joint:.3g} N m that the drive can "
             f'apply at the joint: write "{limit:g} mN*m", or "{limit:g} N*m" if it is that'
         )
+        wrong.append((("limits", "torque"), f"limits.torque: {said}"))
     if isinstance(inertia, int | float) and largest < _SLOWEST * inertia:
-        wrong["stand", "motor_inertia"] = (
+        said = (
             f"{inertia:g} would be {inertia:g} kg m^2, which the drive's {largest:.3g} N m accelerate by "
             f'{largest / inertia:.2g} rad/s^2 only: write it with its unit, such as "20 g*cm^2"'
         )
-    if wrong:
-        lines = [f"line {line_of(stand.text, list(place))}: {_key(place)}: {said}" for place, said in wrong.items()]
-        raise errors_in(name, lines, len(lines))
-    return stand
+        wrong.append((("stand", "motor_inertia"), f"stand.motor_inertia: {said}"))
+    return wrong
+
+
+def numbered(text: str, place: Place, said: str) -> str:
+    """Return a sentence about the key at `place` of a TOML text, with the line of the key."""
+    return f"line {line_of(text, list(place))}: {said}"
 
 
 def parse(text: str, name: str = "stand.toml") -> Stand:
@@ -235,21 +264,44 @@ def parse(text: str, name: str = "stand.toml") -> Stand:
 
 def _parsed(text: str, name: str) -> Stand:
     table = parsed(text, name)
-    kind, errors = _sensor_kind(table)
-    model = _file_model(frozenset(name for name in table if name in BACKENDS), kind)
-    file, wrong = _validated(table, model)
-    if errors := [*errors, *wrong]:
+    if joints := joints_in(table):
+        raise WrongUse(f"{name} is the file of a hand: choose a joint with --joint NAME: {', '.join(joints)}")
+    stand, errors = examined(table, text)
+    if stand is None:
         lines = sorted((line_of(text, list(place)), said) for place, said in errors[:LISTED])
         raise errors_in(name, [f"line {at}: {said}" for at, said in lines], len(errors))
+    return stand
+
+
+def joints_in(table: Mapping[str, Any]) -> list[str]:
+    """Return the names of the joints in the table of a TOML file that describes a hand, [] for any other file."""
+    listed = table.get("joint")
+    joints = listed if isinstance(listed, list) else []
+    is_plan = "campaign" in table or "profile" in table
+    if not ("hand" in table or joints) or is_plan:
+        return []
+    return [str(one.get("name", "?")) if isinstance(one, dict) else "?" for one in joints] or ["no joint at all"]
+
+
+def examined(table: dict[str, Any], text: str) -> tuple[Stand | None, list[Error]]:
+    """Return the stand in the table of a TOML text, None if it has errors, and the errors.
+
+    The key `kind` is removed from the [joint_sensor] of `table`.
+    """
+    kind, errors = _sensor_kind(table)
+    model = _file_model(frozenset(name for name in table if name in BACKENDS), kind)
+    file, wrong = validated(table, model)
+    if errors := [*errors, *wrong]:
+        return None, errors
     devices = {backend: getattr(file, backend) for backend in table if backend in BACKENDS}
     sensor = None if kind is None else (kind, file.joint_sensor)
-    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding, file.keeps_torque)
+    return Stand(file.stand, file.limits, devices, sensor, text, file.calibration, file.winding, file.keeps_torque), []
 
 
-def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_Error]]:
-    """Return the checked stand file as a model, and the errors in it; the model is None if there are errors."""
+def validated(table: Mapping[str, Any], model: type[BaseModel]) -> tuple[Any, list[Error]]:
+    """Return a table of a TOML file as `model`, with its values in SI, and the errors in it; None if there are any."""
     values, units = in_si(table, model)
-    wrong: list[_Error] = [(place, f"{_key(place)}: {said}") for place, said in units.items()]
+    wrong: list[Error] = [(place, f"{_key(place)}: {said}") for place, said in units.items()]
     if beyond := list(_beyond(values)):  # no model's own check has to expect such a number
         return None, wrong + beyond
     try:
@@ -259,7 +311,7 @@ def _validated(table: Mapping[str, Any], model: type[File]) -> tuple[Any, list[_
         return None, wrong + [(item["loc"], _message(item, model)) for item in items]
 
 
-def _beyond(value: Any, place: Place = ()) -> Iterator[_Error]:
+def _beyond(value: Any, place: Place = ()) -> Iterator[Error]:
     """Yield an error for each finite number in a table that is out of the range of `_LARGEST_VALUE`."""
     if isinstance(value, dict | list):
         for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
@@ -274,7 +326,7 @@ def _beyond(value: Any, place: Place = ()) -> Iterator[_Error]:
             )
 
 
-def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[_Error]]:
+def _sensor_kind(table: dict[str, Any]) -> tuple[str | None, list[Error]]:
     """Remove the key `kind` from [joint_sensor] and return it, and the errors in it. The remaining keys are defined by
     the sensor.
     """
@@ -297,7 +349,7 @@ def _file_model(backends: frozenset[str], sensor: str | None) -> type[File]:
     return create_model("_FileOfStand", __base__=File, **tables)
 
 
-def _message(item: Any, model: type[File]) -> str:
+def _message(item: Any, model: type[BaseModel]) -> str:
     value = f" = {reprlib.repr(item['input'])}" if names_the_value(item) else ""
     hint = ""
     if item["type"] in NO_SUCH_KEY:

@@ -8,9 +8,10 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from drivers.clock import MonotonicClock
+from drivers.neighbours import HasNeighbours, JoinsHand
 from drivers.servo import Quantity, Servo, ServoInfo
 from hil.errors import WrongUse
-from hil.guardian.servo import Watch, guarded
+from hil.guardian.servo import GuardedServo, Watch, guarded
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
 from hil.stand.servo import StandServo
@@ -47,6 +48,8 @@ def open_servo(
         servo, truth = cast("Servo", simulated), simulated.truth()
     else:
         servo = open_backend(name, _table_of(stand, name), quantity)
+        if isinstance(servo, JoinsHand):
+            servo.join_hand(stand.stand.hand_ids)
         servo = servo if watch is None else guarded(servo, watch)
     if stand.sensor is None and not stand.stand.zero:
         return servo, truth
@@ -56,6 +59,47 @@ def open_servo(
         servo.close()
         raise
     return StandServo(servo, stand.stand.zero, sensor), truth
+
+
+def innermost(servo: Servo) -> Servo:
+    """Return the drive's own adapter, without what the stand and the guardian put around it."""
+    while isinstance(servo, StandServo | GuardedServo):
+        servo = servo.inner
+    return servo
+
+
+def refused_neighbours(stand: Stand, servo: Servo) -> list[str] | None:
+    """Return a sentence for each other drive on the servo's bus that holds torque, except those in `holding_ids`, and
+    one for a hand whose drives in `holding_ids` cannot be switched off with the servo.
+
+    None: drives like this one cannot be asked. Takes about a second; nothing is written to a drive. Raises DriverError.
+    """
+    inner = innermost(servo)
+    held = sorted({*stand.stand.holding_ids}.intersection(stand.stand.hand_ids.values()))
+    if held and not isinstance(inner, JoinsHand):
+        return [
+            f"the drives {held} of this hand may hold torque, and hil cannot switch such drives off together with the "
+            "one that it drives: lock their joints instead, and remove holding_ids from [stand]"
+        ]
+    found = inner.neighbours() if isinstance(inner, HasNeighbours) else None
+    joints = {ident: f", joint {joint}" for joint, ident in stand.stand.hand_ids.items()}
+    if found is None:
+        return None
+    ids = sorted({*stand.stand.holding_ids, *(one.ident for one in found)})
+    return [
+        f"drive {one.ident} on the same bus ({one.kind}{joints.get(one.ident, '')}) may hold torque: {one.state}. What "
+        f"it does to the joint would be taken for Kc and Bc, and it may move. To release it, {one.release}, or cut its "
+        f"power; if it belongs to the stand, such as a motor that locks the joint, set holding_ids = {ids} in [stand]"
+        for one in found
+        if one.ident not in stand.stand.holding_ids
+    ]
+
+
+def require_quiet_neighbours(stand: Stand, servo: Servo) -> None:
+    """Raise WrongUse if another drive on the servo's bus holds torque. Raises DriverError if the link fails."""
+    refused = refused_neighbours(stand, servo)
+    if refused:
+        raise WrongUse(f"{'; '.join(refused)}. Nothing was driven")
 
 
 def require_watchdog(stand: Stand, info: ServoInfo) -> None:

@@ -72,17 +72,23 @@ def line_of(text: str, place: list[Any]) -> int:
     the key is missing, return the line of its table.
     """
     names = [str(part) for part in place if isinstance(part, str)]
-    number = next((part for part in place if isinstance(part, int)), 0)
+    number = place[1] if len(place) > 1 and isinstance(place[1], int) else 0
     counts: dict[str, int] = {}
     here: list[str] = []
-    found, is_it = 1, len(names) == 1
+    found, is_it = 1, True
     for at, line in enumerate(text.splitlines(), 1):
         if header := _HEADER.match(line):
-            here = [part.strip(" \"'") for part in header[2].split(".")]
+            here = _keys(header[2])
             if header[1] == "[[":
                 counts[here[0]] = counts.get(here[0], -1) + 1
             is_it = here == names[: len(here)] and counts.get(here[0], 0) == number
             found = at if is_it else found
-        elif is_it and [*here, line.partition("=")[0].strip(" \"'")] == names:
-            return at
+        elif is_it and "=" in line and (keys := [*here, *_keys(line.partition("=")[0])]) == names[: len(keys)]:
+            if len(keys) == len(names) or "{" in line:
+                return at
+            found = at
     return found
+
+
+def _keys(dotted: str) -> list[str]:
+    return [part.strip(" \"'") for part in dotted.split(".")]

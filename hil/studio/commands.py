@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from hil.errors import WrongUse, unknown
-from hil.recording.output import next_free
 from hil.studio.folder import Folder, is_report
 
 SIZES: Final = ("profile", "amplitude", "band", "duration", "rate", "mode")
@@ -98,7 +97,7 @@ def _design(wanted: Mapping[str, Any], folder: Folder) -> Line:
 
 
 def _record(wanted: Mapping[str, Any], folder: Folder) -> Line:
-    output = next_free(folder.place / "recordings").relative_to(folder.place)
+    output = folder.next_recording()
     words = [*_excited(wanted, folder), *options(wanted, ["note"])]
     agreed = ["--yes"] if wanted.get("yes") is True else []
     shown = [f"--output={output}", "--json", "--realtime"]  # a real stand takes its time anyway

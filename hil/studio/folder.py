@@ -8,6 +8,7 @@ import re
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,9 @@ import numpy as np
 
 from hil.acquisition.commissioning import NOTHING_TURNS, announcement
 from hil.errors import WrongUse
+from hil.recording.input import open_input
+from hil.recording.output import next_free
+from hil.recording.posix import in_child
 from hil.recording.reader import Recording
 from hil.report.pictures.thinning import trace_rows
 from hil.stand.devices import check_backend
@@ -26,6 +30,7 @@ _TITLE: Final = re.compile(r"<title>[^<]*?: ([^<]*)</title>")
 _STANDS: Final = 50  # files that are read
 _PAGE: Final = 50  # recordings in one answer
 _SUFFIXES: Final = (".h5", ".hdf5", ".part")
+_TRACE_TIME, _TRACE_MEMORY = 10, 1 << 28  # s of processor time and bytes in which a recording is drawn
 
 
 class Folder:
@@ -34,31 +39,37 @@ class Folder:
     def __init__(self, place: Path) -> None:
         self.place = place.resolve()
 
-    @property
-    def recordings(self) -> Path:
-        """The folder for new recordings."""
-        return self.place / "recordings"
+    def next_recording(self) -> Path:
+        """Return the name of the next recording, relative to this folder. Raises WrongUse."""
+        if (self.place / "recordings").is_symlink():
+            raise WrongUse("recordings is a link, and the page writes no file outside its folder: rename the link")
+        return next_free(self.place / "recordings").relative_to(self.place)
 
     def inside(self, name: str) -> Path:
-        """Return the path of the file `name`, relative to this folder. Raises WrongUse if the file is not in this
-        folder.
+        """Return the path of the file `name`, relative to this folder. Raises WrongUse if there is no regular file of
+        that name in this folder: a pipe or a device would block a reader, and a link may lead elsewhere.
         """
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError, RuntimeError):
             found = (self.place / name).resolve(strict=True)
             if found.is_file() and found.is_relative_to(self.place):
                 return found.relative_to(self.place)
         raise WrongUse(f"{name!r} is no file of this folder any more: it was removed or renamed")
 
+    def _has(self, name: str) -> bool:
+        with suppress(WrongUse):
+            return bool(self.inside(name))
+        return False
+
     def stands(self) -> list[dict[str, Any]]:
         """Return the stands of the folder, each with its limits or with what is wrong with its file."""
-        files = sorted(self.place.glob("*.toml"))[:_STANDS]
         found = [_described("sim", parse(SIMULATED))]
-        for path in files:
+        for name in sorted(name for _, name in self._files("", (".toml",)))[:_STANDS]:
+            path = self.place / name
             try:
-                found.append(_described(path.name, load(path)))
-            except (WrongUse, OSError) as error:
-                if "[stand]" in path.read_text(encoding="utf-8", errors="replace"):
-                    found.append({"file": path.name, "name": path.name, "wrong": str(error)})
+                found.append(_described(name, load(path)))
+            except (WrongUse, OSError, ValueError) as error:
+                if b"[stand]" in beginning(path):
+                    found.append({"file": name, "name": name, "wrong": str(error)})
         return found
 
     def listed(self, first: int, wanted: str) -> tuple[list[dict[str, Any]], int]:
@@ -67,22 +78,31 @@ class Folder:
         wanted: a text that the name contains, "" for all. Only the recordings of the page are opened; of the others,
         only name and date are read.
         """
-        dated = sorted((one for one in self._dated(_SUFFIXES) if wanted.casefold() in one[1].casefold()), reverse=True)
+        dated = [one for one in self._dated(_SUFFIXES) if wanted.casefold() in one[1].casefold()]
         return [self._entry(name, changed) for changed, name in dated[first : first + _PAGE]], len(dated)
 
-    def _dated(self, suffixes: tuple[str, ...]) -> Iterator[tuple[float, str]]:
-        """Yield date and name of each recording in this folder and its direct subfolders."""
-        inner = (f"{one.name}/" for one in os.scandir(self.place) if one.is_dir() and one.name[0] != ".")
-        for folder in ("", *inner):
-            with suppress(OSError):
-                for one in os.scandir(self.place / folder):
-                    if one.name.endswith(suffixes) and one.name[0] != "." and one.name.isprintable():
-                        with suppress(OSError):  # removed since
-                            yield one.stat().st_mtime, folder + one.name
+    def _files(self, folder: str, suffixes: tuple[str, ...]) -> Iterator[tuple[float, str]]:
+        """Yield date and name of each regular file with one of the suffixes in a subfolder, "" for this folder.
+
+        Hidden files, and names that a page cannot show, are left out.
+        """
+        with suppress(OSError):  # no folder, or it may not be read
+            for one in os.scandir(self.place / folder):
+                name = folder + one.name
+                if one.name.endswith(suffixes) and one.name[0] != "." and name.isprintable():
+                    with suppress(OSError):  # removed since
+                        if one.is_file(follow_symlinks=False) or (one.is_symlink() and self._has(name)):
+                            yield one.stat().st_mtime, name
+
+    def _dated(self, suffixes: tuple[str, ...]) -> list[tuple[float, str]]:
+        """Return date and name of the recordings in this folder and its direct subfolders, newest first."""
+        inner = [f"{one.name}/" for one in os.scandir(self.place) if one.is_dir(follow_symlinks=False)]
+        folders = ["", *(one for one in inner if one[0] != ".")]
+        return sorted((one for folder in folders for one in self._files(folder, suffixes)), reverse=True)
 
     def parts(self) -> list[Path]:
-        """Return the recordings that have not ended, newest first."""
-        return [self.place / name for _, name in sorted(self._dated((".part",)), reverse=True)]
+        """Return the newest recordings that have not ended, newest first."""
+        return [self.place / name for _, name in self._dated((".part",))[:_PAGE]]
 
     def _entry(self, name: str, changed: float) -> dict[str, Any]:
         page = (self.place / name).with_suffix(".html")
@@ -117,12 +137,17 @@ def questions(backend: str) -> list[dict[str, Any]]:
     ]
 
 
+def beginning(path: Path, size: int = 1 << 16) -> bytes:
+    """Return the first bytes of a file, b"" if it cannot be read or is no regular file."""
+    with suppress(OSError, WrongUse), open_input(path, largest=1 << 40) as file:
+        return file.read(size)
+    return b""
+
+
 def _title(page: Path) -> str:
     """Return the answer in the title of a report of hil, "" without a title."""
-    with suppress(OSError), page.open("rb") as file:
-        found = _TITLE.search(file.read(_HEAD).decode("utf-8", errors="replace"))
-        return html.unescape(found[1]).strip() if found else ""
-    return ""
+    found = _TITLE.search(beginning(page, _HEAD).decode("utf-8", errors="replace"))
+    return html.unescape(found[1]).strip() if found else ""
 
 
 def is_report(page: Path) -> bool:
@@ -135,11 +160,19 @@ def trace(path: Path) -> bytes:
 
     Raises WrongUse and Untrustworthy.
     """
+    frame = in_child(partial(_frame, path), processor=_TRACE_TIME, memory=_TRACE_MEMORY)
+    if frame is None:
+        raise WrongUse(
+            f"{path.name} is too long to be drawn here, or damaged: `hil identify` reads it, or says why not"
+        )
+    return frame
+
+
+def _frame(path: Path) -> bytes:
     with Recording(path) as recording:
         time, command, torque, dtheta = (recording.channel(name) for name in ("time", "command", "torque", "dtheta"))
     rows = trace_rows(torque, dtheta)
-    known = np.isfinite(time[rows])
-    rows = rows[known]
+    rows = rows[np.isfinite(time[rows])]
     begin = float(time[rows[0]]) if len(rows) else 0.0
     values = np.array([time[rows] - begin, command[rows], torque[rows], dtheta[rows]], "<f4")
     return struct.pack("<IId", 0, len(rows), begin) + values.tobytes()

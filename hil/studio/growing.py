@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import struct
 from contextlib import suppress
 from dataclasses import asdict
@@ -15,7 +16,8 @@ import numpy as np
 from drivers.servo import Status
 from hil.live.state import State
 from hil.live.viewer import opened
-from hil.recording.integrity import intact
+from hil.recording.integrity import Recorder, intact, recorder
+from hil.recording.posix import process_mark
 
 SHOWN: Final = ("time", "command", "torque", "dtheta")
 """The channels in a frame, in this order."""
@@ -49,10 +51,13 @@ class Growing:
         self._state.update()
         self._late += int(np.count_nonzero(self._rows["status"][before : self._state.count] & _LATE))
 
-    def event_codes(self) -> list[str]:
-        """Return the code of each event so far."""
+    def events(self) -> list[tuple[str, str]]:
+        """Return code and message of each event so far."""
         first = self._events[:16]
-        return [row["code"].decode(errors="replace") for row in first[intact(first)]]
+        return [
+            (row["code"].decode(errors="replace"), row["message"].decode(errors="replace"))
+            for row in first[intact(first)]
+        ]
 
     def frame(self, first: int) -> tuple[bytes, int]:
         """Return the rows from number `first` on as one frame, and the number of the row after them.
@@ -94,26 +99,34 @@ def _known(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def recorder_of(part: Path) -> int | None:
-    """Return the process id of the recorder that writes `part`; None if there is none, or where it cannot be found.
-
-    Among this user's processes that have the file open for writing, the recorder is the one that none of the others
-    started.
+def recorder_of(part: Path) -> Recorder | None:
+    """Return the process that records `part`; None if there is none, if the file is no recording of hil, or where the
+    system does not tell.
     """
-    writers = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        number = int(folder.name)
-        if is_writing(number, part):
-            with suppress(OSError, ValueError, IndexError):  # just ended
-                writers[number] = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-    return next((number for number, parent in writers.items() if parent not in writers), None)
+    named = recorder(part)
+    return named if named is not None and is_recording(named, part) else None
 
 
-def is_writing(process: int, path: Path) -> bool:
-    """Return whether the process with this id has the file open for writing."""
+def is_recording(named: Recorder, part: Path) -> bool:
+    """Return whether the process that the recording names still runs, and has the file open for writing.
+
+    A later process with the same id has another mark. Any other writer of the file, such as a copy, is not named in it.
+    """
     with suppress(OSError):  # another user's, or ended
-        return any(_writes(one, path) for one in Path(f"/proc/{process}/fd").iterdir())
+        is_same = named.mark != "" and process_mark(named.process) == named.mark
+        return is_same and any(_writes(one, part) for one in Path(f"/proc/{named.process}/fd").iterdir())
     return False
+
+
+def interrupt(named: Recorder, part: Path, number: int) -> None:
+    """Send the process that records `part` the signal `number`; no other process gets it."""
+    with suppress(OSError):  # it has ended
+        process = os.pidfd_open(named.process)  # what gets the number after it is not reached
+        try:
+            if is_recording(named, part):
+                signal.pidfd_send_signal(process, number)
+        finally:
+            os.close(process)
 
 
 def _writes(descriptor: Path, path: Path) -> bool:

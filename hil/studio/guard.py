@@ -1,46 +1,52 @@
-"""Access control of the page: one ASGI middleware for requests and websockets, and the token that admits a browser.
+"""Access control of the page: one ASGI middleware for requests and websockets, and the key that admits a browser.
 
 A page of another site can send requests to 127.0.0.1 from the browser of the person at the bench. The fixed list of
-hosts refuses a page whose host name was rebound to 127.0.0.1; the checks of origin and cookie refuse all others.
-Browsers apply neither CORS nor the same-origin policy to websockets, so their origin is checked here as well.
+hosts refuses a page whose host name was rebound to 127.0.0.1; the checks of origin and key refuse all others. Browsers
+apply neither CORS nor the same-origin policy to websockets, so their origin is checked here as well. There is no
+cookie: a browser sends it to every port of the computer, so to the servers of other users too.
 """
 
 from __future__ import annotations
 
 import secrets
-from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from typing import Any, Final
 
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
+
+from hil.errors import WrongUse
+from hil.studio.peers import Strangers
 
 TOKEN_PATH: Final = "/token"  # noqa: S105 - a path
+TICKET_PATH: Final = "/ticket/"
+_TICKETS: Final = 100  # that are valid, the newest
 _READING: Final = frozenset({"GET", "HEAD"})
-_HEADERS: Final = (
-    (
-        b"content-security-policy",
-        b"default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; frame-src 'self'; "
-        b"base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    ),
-    (b"x-content-type-options", b"nosniff"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"cache-control", b"no-store"),
-)
+_HEADERS: Final = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "x-dns-prefetch-control": "off",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "no-store",
+}
 
 
 class Access:
-    """The token of the printed link and the cookie that replaces it. port: of the server."""
+    """The token of the printed link, the key that replaces it in the page, and the tickets for single files.
+
+    port: of the server. strangers: the connections that have not shown the key.
+    """
 
     def __init__(self, port: int) -> None:
         self.port = port
         self.hosts = frozenset({f"127.0.0.1:{port}", f"localhost:{port}"})
-        self.cookie = f"hil-studio-{port}"  # cookies ignore the port: two studios must not overwrite each other's
-        self.secret = secrets.token_urlsafe(32)
+        self.key = secrets.token_urlsafe(32)
+        self.strangers = Strangers()
         self._token = ""
+        self._tickets: dict[str, tuple[str, str]] = {}
 
     def link(self) -> str:
         """Return a new link; an earlier link that was not opened becomes invalid.
@@ -52,71 +58,82 @@ class Access:
 
     def spend(self, token: str) -> bool:
         """Return whether `token` is the link's token, and make the link invalid if it is."""
-        right = bool(self._token) and secrets.compare_digest(token.encode(), self._token.encode())
+        right = bool(self._token) and _same(token, self._token)
         if right:
             self._token = ""
         return right
 
+    def admits(self, key: str, peer: Any) -> bool:
+        """Return whether `key` is the page's key; the connection from `peer` is no stranger then."""
+        right = _same(key, self.key)
+        if right:
+            self.strangers.remove(peer)
+        return right
+
+    def ticket(self, kind: str, name: str) -> str:
+        """Return an address of the file `name` for a frame or a download, which cannot send the key."""
+        ticket = secrets.token_urlsafe(32)
+        self._tickets[ticket] = kind, name
+        if len(self._tickets) > _TICKETS:
+            del self._tickets[next(iter(self._tickets))]
+        return f"{TICKET_PATH}{ticket}"
+
+    def file_of(self, ticket: str) -> tuple[str, str]:
+        """Return kind and name of the file that the ticket stands for. Raises WrongUse."""
+        if ticket not in self._tickets:
+            raise WrongUse("this address is no longer valid: choose the file in the page again")
+        return self._tickets[ticket]
+
     def refusal(self, scope: Scope) -> tuple[int, str] | None:
-        """Return the HTTP status and the reason for refusing a request or a websocket; None if it is allowed."""
-        headers = _headers(scope)
-        if [*headers("host")] not in [[host] for host in self.hosts]:
+        """Return the HTTP status and the reason for refusing a request or a websocket; None if it is allowed.
+
+        A websocket must send the key as its first message.
+        """
+        headers = Headers(scope=scope)
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
+        if len(hosts) != 1 or hosts[0] not in self.hosts:
             return 421, f"this page is http://127.0.0.1:{self.port}: open the link that hil studio printed"
         method, path = scope.get("method", "websocket"), scope["path"]
         if method in _READING and (path == "/" or path.startswith("/static/")):
             return None  # a shell without data
-        origins, ours = [*headers("origin")], {f"http://{host}" for host in self.hosts}
-        foreign = any(site != "same-origin" for site in headers("sec-fetch-site")) or not ours.issuperset(origins)
+        foreign = any(site != "same-origin" for site in headers.getlist("sec-fetch-site"))
+        foreign = foreign or not {f"http://{one}" for one in self.hosts}.issuperset(origins)
         if foreign or not (origins or method in _READING):
             return 403, "the request does not come from this page"
-        if (method, path) == ("POST", TOKEN_PATH) or self._has_cookie(headers("cookie")):
+        open_to_all = (method, path) == ("POST", TOKEN_PATH) or (method in _READING and path.startswith(TICKET_PATH))
+        keys = headers.getlist("authorization")
+        has_key = len(keys) == 1 and self.admits(keys[0].removeprefix("Bearer "), scope.get("client"))
+        if method == "websocket" or open_to_all or has_key:
             return None
         return 401, "open the link that hil studio printed; Enter in its terminal prints a new one"
 
-    def _has_cookie(self, lines: Iterable[str]) -> bool:
-        pairs = (pair.strip().partition("=") for line in lines for pair in line.split(";"))
-        given = [value for name, _, value in pairs if name == self.cookie]
-        return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.secret.encode())
-
 
 class Guard:
-    """The middleware: it refuses the requests that `access` refuses, and adds the headers that keep foreign scripts out
-    of the page.
+    """The middleware: it refuses what `access` refuses, and adds the headers that keep foreign scripts out of the
+    page.
     """
 
-    def __init__(self, app: App, access: Access) -> None:
+    def __init__(self, app: ASGIApp, access: Access) -> None:
         self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request (the call of the ASGI interface)."""
-        if scope["type"] not in {"http", "websocket"}:
-            await self._app(scope, receive, send)
-            return
-        refused = self._access.refusal(scope)
-        if refused is None:
-            await self._app(scope, receive, _with_headers(send))
-        elif scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 4403, "reason": refused[1]})
-        else:
+
+        async def sending(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        answer, refused = self._app, None if scope["type"] == "lifespan" else self._access.refusal(scope)
+        if refused is not None:
             status, reason = refused
-            content = [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS]
-            await send({"type": "http.response.start", "status": status, "headers": content})
-            await send({"type": "http.response.body", "body": reason.encode()})
+            is_socket = scope["type"] == "websocket"
+            answer = WebSocketClose(4403, reason) if is_socket else PlainTextResponse(reason, status)
+        await answer(scope, receive, sending)
 
 
-def _headers(scope: Scope) -> Callable[[str], Iterable[str]]:
-    pairs = [(name.decode("latin-1").lower(), value.decode("latin-1")) for name, value in scope["headers"]]
-    return lambda wanted: (value for name, value in pairs if name == wanted)
-
-
-def _with_headers(send: Send) -> Send:
-    """Return `send` extended by the headers that a response does not set itself."""
-
-    async def sending(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            there = {name.lower() for name, _ in message["headers"]}
-            message["headers"] = [*message["headers"], *(pair for pair in _HEADERS if pair[0] not in there)]
-        await send(message)
-
-    return sending
+def _same(given: str, right: str) -> bool:
+    """Compare in a time that does not depend on the texts."""
+    return secrets.compare_digest(given.encode(errors="replace"), right.encode())

@@ -8,19 +8,23 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hil.acquisition.excitation import Profile
 from hil.api.runs import DEFAULT_RATE, excitation, opened_stand, quantity_of
 from hil.errors import WrongUse
-from hil.experiment_design.assessment import LIMITED, UNITS, assess, task_of
+from hil.experiment_design.assessment import LIMITED, UNITS, Task, assess, task_of
 from hil.experiment_design.response import respond, set_points
+from hil.recording.posix import in_child
 from hil.report.formatting import json_number
 from hil.report.pictures.thinning import trace_rows
 from hil.units import quantity
 
+_TIME, _MEMORY = 20, 200 << 20  # s of processor time and bytes for a prediction
+_POINTS: Final = 8_000  # of a set-point that is shown without one
 _DIMENSIONS: Final = {"duration": "time", "rate": "frequency", "kc": "stiffness", "bc": "damping"}
 
 
@@ -41,19 +45,31 @@ def preview(stand: str, fields: Mapping[str, str]) -> dict[str, Any]:
     size = (given.get("amplitude"), band, given.get("duration"))
     profile = excitation(opened, fields.get("profile", "chirp"), mode, size, rate=rate, setpoints=None)
     found = {"amplitude": profile.amplitude, "duration": profile.duration, "rate": rate, "limits": {}, "errors": {}}
-    command = set_points(profile, rate)
     rough = {"kc": given.get("kc"), "bc": given.get("bc"), "torque_noise": None}
     try:
         task = task_of(opened, **rough, model="auto", mode=mode, rate=rate)
-        judged, (motion, _) = assess(task, profile), respond(task.joint, profile, rate)
+        more = in_child(partial(_predicted, task, profile), processor=_TIME, memory=_MEMORY)
+        said = "the run is too long to be predicted here: `hil design` in a terminal predicts it"
     except WrongUse as error:
-        return found | {"said": str(error), "curves": _curves(rate, command=command)}
+        more, said = None, str(error)
+    if more is None:
+        time = np.linspace(0.0, profile.duration, min(_POINTS, round(profile.duration * rate) + 1))
+        more = {"said": said, "curves": {"time": time.tolist(), "command": profile.at(time).tolist()}}
+    return found | more
+
+
+def _predicted(task: Task, profile: Profile) -> dict[str, Any]:
+    judged, (motion, _) = assess(task, profile), respond(task.joint, profile, task.rate)
     limits = zip(LIMITED, UNITS, judged.peaks, task.limits, judged.shares, strict=True)
-    found["limits"] = {
-        name: {"unit": unit, "peak": p, "limit": most, "used": used} for name, unit, p, most, used in limits
+    curves = {"command": set_points(profile, task.rate), "torque": motion.torque, "dtheta": motion.dtheta}
+    rows = trace_rows(*curves.values())
+    return {
+        "limits": {
+            name: {"unit": unit, "peak": p, "limit": most, "used": used} for name, unit, p, most, used in limits
+        },
+        "errors": {name: json_number(judged[name].error / judged[name].rough) for name in ("Kc", "Bc")},
+        "curves": {"time": (rows / task.rate).tolist()} | {name: one[rows].tolist() for name, one in curves.items()},
     }
-    found["errors"] = {name: json_number(judged[name].error / judged[name].rough) for name in ("Kc", "Bc")}
-    return found | {"curves": _curves(rate, command=command, torque=motion.torque, dtheta=motion.dtheta)}
 
 
 def _number(name: str, text: str, dimension: str) -> float:
@@ -61,11 +77,6 @@ def _number(name: str, text: str, dimension: str) -> float:
         return quantity(text, dimension)[0]
     except WrongUse as error:
         raise WrongUse(f"{name} {error}") from None
-
-
-def _curves(rate: float, **curves: NDArray[np.float64]) -> dict[str, list[float]]:
-    rows = trace_rows(*curves.values())
-    return {"time": (rows / rate).tolist()} | {name: values[rows].tolist() for name, values in curves.items()}
 
 
 if __name__ == "__main__":

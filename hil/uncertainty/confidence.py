@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, NORMAL, SPREAD, TAKES_PART, UPPER
+from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, SPREAD, TAKES_PART, UPPER
 from hil.uncertainty.blocks import Blocks
 from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 
@@ -35,14 +35,6 @@ class ConfidenceIntervals:
     half_width: Array
     inflation: Array
     correlation: Array
-
-    def with_scale_uncertainty(self, uncertainty: Array, values: Array) -> ConfidenceIntervals:
-        """Return the intervals widened by the uncertainty of a scale, which more samples do not reduce.
-
-        uncertainty: relative standard uncertainty of the quantity, such as the torque, that the parameters (p,) are
-        proportional to. values (p,): the parameters.
-        """
-        return replace(self, half_width=np.hypot(self.half_width, NORMAL * uncertainty * np.abs(values)))
 
     def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
         """Return the intervals with the sampling half widths replaced by those of averages over models.

@@ -17,9 +17,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.deflection_noise import skew_by_noise
-from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, Recorded, reading_noise
+from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, delayed, reading_noise, smoothed
 from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
 from hil.uncertainty.scores import Scores
@@ -31,13 +32,15 @@ Array = NDArray[np.float64]
 class Residuals:
     """The residuals of the fit that is tested, SI, and its columns.
 
-    residuals (n,): N m. columns (n, p): the derivative of the torque with respect to each parameter. coupling: the
-    indices of Kc and Bc, None for a model without them. values: Kc and Bc. half_width: half their intervals. skew: the
-    index of a skew, None if the model has none. kept (n,): the samples that the model describes, None for all; the
-    other samples are ignored. included: the codes of effects that the model already has a term for, and which therefore
-    are no remedy.
+    motion, torque (n,): of the coupling, N m. residuals (n,): N m. columns (n, p): the derivative of the torque with
+    respect to each parameter. coupling: the indices of Kc and Bc, None for a model without them. values: Kc and Bc.
+    half_width: half their intervals. skew: the index of a skew, None if the model has none. kept (n,): the samples that
+    the model describes, None for all; the other samples are ignored. included: the codes of effects that the model
+    already has a term for, and which therefore are no remedy.
     """
 
+    motion: Motion
+    torque: Array
     residuals: Array
     columns: Array
     coupling: tuple[int, int] | None
@@ -48,66 +51,60 @@ class Residuals:
     included: frozenset[str] = frozenset()
 
 
-def lack_of_fit(recorded: Recorded, fitted: Residuals) -> LackOfFit | None:
+def lack_of_fit(fitted: Residuals) -> LackOfFit | None:
     """Test a fit for lack of fit. Return None if the recording is too short, or if the residuals are only rounding.
 
     None also if the model describes almost no sample. Raises ValueError if the arrays differ in length.
     """
-    if not len(recorded) == len(fitted.residuals) == len(fitted.columns):
-        raise ValueError(f"{len(recorded)} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
-    if len(recorded) < c.FEWEST * c.SHORTEST_BLOCK or np.ptp(recorded.deflection) == 0.0:
+    count = len(fitted.motion)
+    if not count == len(fitted.residuals) == len(fitted.columns):
+        raise ValueError(f"{count} samples, {len(fitted.residuals)} residuals, {len(fitted.columns)} rows")
+    if count < c.FEWEST * c.SHORTEST_BLOCK or np.ptp(fitted.motion.dtheta) == 0.0:
         return None
     if fitted.kept is not None and np.count_nonzero(fitted.kept) <= fitted.columns.shape[1]:
         return None
     fitted = _blanked(fitted)
-    if float(np.std(fitted.residuals)) <= c.EXACT * float(np.std(recorded.torque)):
+    if float(np.std(fitted.residuals)) <= c.EXACT * float(np.std(fitted.torque)):
         return None
-    return _Tests(*_fewer(recorded, fitted)).result()
+    return _Tests(_fewer(fitted)).result()
 
 
-def predicted(recorded: Recorded, *fits: Residuals) -> Array:
+def predicted(*fits: Residuals) -> Array:
     """Return the predictable part of the residuals of each of k fits, N m r.m.s. (k,); all use the regressors of the
     first.
     """
-    tests = [_Tests(*_fewer(recorded, _blanked(one))) for one in fits]
+    tests = [_Tests(_fewer(_blanked(one))) for one in fits]
     features = np.concatenate(list(tests[0].features().values()), axis=1)
-    return np.array([one.predicted(features)[1] for one in tests])
+    return np.array([one.tested.predicted(features)[1] for one in tests])
 
 
 class _Tests:
-    """A recording, the scores of the residuals of its fit, and the lack-of-fit tests on these scores."""
+    """The scores of the residuals of a fit, and the lack-of-fit tests on these scores."""
 
-    def __init__(self, recorded: Recorded, fitted: Residuals) -> None:
-        self._recorded, self._fitted = recorded, fitted
-        kept = np.ones(len(recorded), dtype=bool) if fitted.kept is None else fitted.kept
+    def __init__(self, fitted: Residuals) -> None:
+        self._motion, self._fitted = fitted.motion, fitted
+        kept = np.ones(len(fitted.motion), dtype=bool) if fitted.kept is None else fitted.kept
         self._kept = kept[:, None]
-        self._tested = Scores(fitted.residuals, fitted.columns, kept)
-        self._model = recorded.torque - fitted.residuals
+        self.tested = Scores(fitted.residuals, fitted.columns, kept)
+        self._model = fitted.torque - fitted.residuals
         at = fitted.coupling
-        own = fitted.columns[:, list(at)] if at else np.stack([recorded.deflection, recorded.rate], axis=1)
+        own = fitted.columns[:, list(at)] if at else np.stack([self._motion.dtheta, self._motion.dtheta_dot], axis=1)
         self._coupling = own - own.mean(axis=0)  # where an encoder has its zero says nothing
 
     def features(self) -> dict[str, Array]:
         """Return the regressors (n, k) of each respect, without the part that the model's columns explain."""
-        return {name: self._tested.new(values) for name, values in regressors(self._recorded, self._model).items()}
-
-    def predicted(self, features: Array) -> tuple[float, float]:
-        """Return two sizes of the part of the residuals that features (n, k) predict in unseen blocks.
-
-        They are its fraction of the residuals' power, and its r.m.s. value, N m.
-        """
-        return self._tested.predicted(features)
+        return {name: self.tested.new(values) for name, values in regressors(self._motion, self._model).items()}
 
     def result(self) -> LackOfFit:
         """Run all tests and return their result."""
         features = self.features()
         everything = np.concatenate(list(features.values()), axis=1)
-        compared = [self._compared(*cut) for cut in cuts(self._recorded)]
+        compared = [self._compared(*cut) for cut in cuts(self._motion)]
         found = [one for one in compared if one is not None]
-        found += [Respect(code, NAMES[code], self._tested.chance(values)) for code, values in features.items()]
-        found.append(Respect("any", NAMES["any"], self._tested.chance(everything)))
+        found += [Respect(code, NAMES[code], self.tested.chance(values)) for code, values in features.items()]
+        found.append(Respect("any", NAMES["any"], self.tested.chance(everything)))
         respects = _corrected(found)
-        share, predicted = self.predicted(everything)
+        share, predicted = self.tested.predicted(everything)
         suspects = self._suspects(share) if any(one.fails for one in respects) else ()
         explained = bool(suspects) and suspects[0].share >= c.AS_GOOD * share
         sizes = self._sizes(respects, suspects, predicted, explained=explained)
@@ -119,10 +116,10 @@ class _Tests:
             Kc=float(sizes[0]),
             Bc=float(sizes[1]),
             outside=self._outside(sizes),
-            samples=len(self._recorded),
+            samples=len(self._motion),
             lags=lags,
             correlation=correlation,
-            plane=mean_over_plane(self._recorded, self._tested.scores),
+            plane=mean_over_plane(self._motion, self.tested.scores),
             predicted=predicted,
             unexplained=self._of_torque(share, predicted),
             at_zero=(float(self._at_zero[0]), float(self._at_zero[1])),
@@ -134,7 +131,7 @@ class _Tests:
         share: the predicted fraction of the residuals' power. predicted: the predicted torque, N m r.m.s.
         """
         kept = self._kept[:, 0]
-        residuals, torque = (float(np.std(one[kept])) for one in (self._fitted.residuals, self._recorded.torque))
+        residuals, torque = (float(np.std(one[kept])) for one in (self._fitted.residuals, self._fitted.torque))
         return min(predicted, float(np.sqrt(share)) * residuals) / torque if torque > 0.0 else 0.0
 
     def _compared(self, code: str, weights: Array | float) -> Respect | None:
@@ -146,15 +143,15 @@ class _Tests:
         """
         own = self._coupling
         if isinstance(weights, float):
-            part = np.stack([self._recorded.smoothed(column, weights) for column in own.T], axis=1)
+            part = np.stack([smoothed(self._motion, column, weights) for column in own.T], axis=1)
         else:
             part = own * weights[:, None]
-        left = self._tested.without_model(part)
+        left = self.tested.without_model(part)
         if not (np.linalg.norm(left, axis=0) > 1e-2 * np.linalg.norm(part, axis=0)).all():
             return None
-        differences = np.linalg.lstsq(left, self._tested.residuals, rcond=None)[0]
+        differences = np.linalg.lstsq(left, self.tested.residuals, rcond=None)[0]
         scale = np.linalg.norm(left, axis=0) / np.sqrt(len(left))
-        chance = self._tested.chance(left / scale)
+        chance = self.tested.chance(left / scale)
         if self._fitted.coupling is None:  # the factors are of no parameter of the model
             return Respect(code, f"the torque differs {NAMES[code]}", chance)
         return Respect(code, NAMES[code], chance, *self._relative(np.asarray(differences)))
@@ -175,23 +172,28 @@ class _Tests:
         """
         if not one.effect.in_deflection:
             return True
-        noise = self._fitted.values[0] ** 2 * float(np.var(reading_noise(self._recorded))) / NOISE_GAIN
-        return one.share * float(np.mean(self._tested.residuals**2)) <= c.MOST_NOISE * noise
+        noise = self._fitted.values[0] ** 2 * self._reading_noise
+        return one.share * float(np.mean(self.tested.residuals**2)) <= c.MOST_NOISE * noise
+
+    @cached_property
+    def _reading_noise(self) -> float:
+        """The variance, rad^2, of the noise of the deflection."""
+        return float(np.var(reading_noise(self._motion))) / NOISE_GAIN
 
     def _suspect(self, effect: Effect) -> Suspect | None:
-        power, best = float(self._tested.residuals @ self._tested.residuals), None
-        for columns in effect.signature(self._recorded, self._model):
-            left = self._tested.without_model(columns)
+        power, best = float(self.tested.residuals @ self.tested.residuals), None
+        for columns in effect.signature(self._motion, self._fitted.torque, self._model):
+            left = self.tested.without_model(columns)
             if not (np.linalg.norm(left, axis=0) > 1e-3 * np.linalg.norm(columns, axis=0)).all():
                 continue
-            factors = _least_squares(left, self._tested.residuals)
-            share = 1.0 - float(np.sum((self._tested.residuals - left @ factors) ** 2)) / power
+            factors = _least_squares(left, self.tested.residuals)
+            share = 1.0 - float(np.sum((self.tested.residuals - left @ factors) ** 2)) / power
             if best is not None and share <= best.share:
                 continue
             moved = self._moved(effect, (columns * self._kept) @ factors)
             if effect.is_of("play") and not self._takes_spring(columns, float(factors[0]), moved[0]):
                 continue
-            if effect.in_deflection or self._tested.chance(left) < c.BY_CHANCE / len(EFFECTS):  # noise is always there
+            if effect.in_deflection or self.tested.chance(left) < c.BY_CHANCE / len(EFFECTS):  # noise is always there
                 best = Suspect(effect, share, *moved)
         return best
 
@@ -205,7 +207,7 @@ class _Tests:
         if self._fitted.coupling is None:
             return True
         least, most = c.GAP_FACTOR
-        narrow = float(np.abs(columns).max()) < c.NARROW_GAP * self._recorded.reach()
+        narrow = float(np.abs(columns).max()) < c.NARROW_GAP * 0.5 * float(np.ptp(self._motion.dtheta))
         return (0.0 if narrow else least * stiffness) < -factor < most * stiffness
 
     def _moved(self, effect: Effect, torque: Array) -> tuple[float, float]:
@@ -226,15 +228,14 @@ class _Tests:
         midway between two readings. It therefore biases a skew in that direction as far as the residuals of the skew
         allow; Bc changes by Kc times the skew.
         """
-        fitted, recorded = self._fitted, self._recorded
-        stiffness, noise = fitted.values[0], float(np.var(reading_noise(recorded))) / NOISE_GAIN
-        attenuated = stiffness * noise / float(np.var(recorded.deflection))
+        fitted, stiffness, noise = self._fitted, self._fitted.values[0], self._reading_noise
+        attenuated = stiffness * noise / float(np.var(self._motion.dtheta))
         if fitted.skew is None:
             return np.array([attenuated, 0.0])
         others = np.delete(fitted.columns, fitted.skew, axis=1)
         column = fitted.columns[:, fitted.skew]
         alone = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-        return np.array([attenuated, stiffness * skew_by_noise(stiffness * noise**0.5, alone, recorded.step)])
+        return np.array([attenuated, stiffness * skew_by_noise(stiffness * noise**0.5, alone, self._motion.step)])
 
     def _relative(self, changes: Array) -> tuple[float, float]:
         """Return changes (2,) of Kc and Bc relative to `_scale`; 0 where the scale is zero."""
@@ -284,35 +285,35 @@ class _Tests:
     def _correlation(self) -> tuple[Array, Array]:
         """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
         lags = np.linspace(-0.1, 0.3, 41)
-        size = float(np.linalg.norm(self._tested.scores))
+        size = float(np.linalg.norm(self.tested.scores))
         found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
         return lags, np.array(found)
 
     def _alike(self, values: Array, lag: float) -> float:
-        then = self._recorded.delayed(values - values.mean(), lag)
+        then = delayed(self._motion, values - values.mean(), lag)
         size = float(np.linalg.norm(then))
-        return float(self._tested.scores @ then) / size if size > 0.0 else 0.0
+        return float(self.tested.scores @ then) / size if size > 0.0 else 0.0
 
 
-def _fewer(recorded: Recorded, fitted: Residuals) -> tuple[Recorded, Residuals]:
-    """Return a recording and its fit with at most about `TESTED` samples: every n-th sample, or pieces spread over the
+def _fewer(fitted: Residuals) -> Residuals:
+    """Return a fit with at most about `TESTED` samples: every n-th sample, or pieces spread over the
     recording.
     """
-    if len(recorded) <= c.TESTED:
-        return recorded, fitted
-    speed = np.sqrt(np.mean(recorded.rate**2) / np.var(recorded.deflection))  # rad/s, of a sine that moves alike
-    dense = 2.0 * np.pi / (speed * recorded.step * c.DENSE) if speed > 0.0 else 1.0
-    rows = np.arange(0, len(recorded), max(1, min(len(recorded) // c.TESTED, int(dense))))
-    starts: set[int] = set()
+    motion = fitted.motion
+    if len(motion) <= c.TESTED:
+        return fitted
+    speed = np.sqrt(np.mean(motion.dtheta_dot**2) / np.var(motion.dtheta))  # rad/s, of a sine that moves alike
+    dense = 2.0 * np.pi / (speed * motion.step * c.DENSE) if speed > 0.0 else 1.0
+    rows = np.arange(0, len(motion), max(1, min(len(motion) // c.TESTED, int(dense))))
+    starts = range(0)
     if len(rows) > c.TESTED:
         length = c.TESTED // c.FEWEST
         firsts = np.linspace(0, len(rows) - length, c.FEWEST).astype(int)
         rows = rows[(firsts[:, None] + np.arange(length)).ravel()]
-        starts = set(range(0, len(rows), length))
+        starts = range(0, len(rows), length)
+    arrays = {name: getattr(fitted, name)[rows] for name in ("torque", "residuals", "columns")}
     kept = None if fitted.kept is None else fitted.kept[rows]
-    return recorded.at(rows, starts), replace(
-        fitted, residuals=fitted.residuals[rows], columns=fitted.columns[rows], kept=kept
-    )
+    return replace(fitted, motion=motion.alone(rows, starts), kept=kept, **arrays)
 
 
 def _least_squares(columns: Array, values: Array) -> Array:

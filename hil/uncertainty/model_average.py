@@ -51,7 +51,6 @@ def average(
     likely: Array,
     *,
     bounded: Sequence[int] = (),
-    seldom: Sequence[int] = (),
 ) -> Average | None:
     """Return the average over all models with and without the doubtful parameters; None if no model is possible.
 
@@ -60,8 +59,7 @@ def average(
     it. positive: indices of parameters whose negative estimate makes a model impossible. likely (2, p): the expected
     value of each parameter and its standard deviation, infinite if nothing is known; the expected value has the more
     weight the less the data determine the parameter (ridge regression). bounded: parameters of every model that are set
-    to zero if their estimate is negative, with the variance that they have without that bound. seldom: doubtful
-    parameters whose own cost, and not Akaike's, weighs the models for the interval.
+    to zero if their estimate is negative, with the variance that they have without that bound.
     """
     variance = np.diag(covariance)  # negative by rounding: nearly dependent columns
     if not (np.isfinite(variance).all() and (variance > 0.0).all()):
@@ -81,7 +79,7 @@ def average(
     left, falls = tuple(one[0] for one in found), np.array([one[3] for one in found])
     each, weights = np.array([one[1] for one in found]), _weights(falls, left, costs)
     mean = weights @ each
-    spread = _weights(falls, left, {at: cost if at in seldom else AKAIKE for at, cost in costs.items()})
+    spread = _weights(falls, left, dict.fromkeys(costs, AKAIKE))
     variance = spread @ (np.array([one[2] for one in found]) + (each - mean) ** 2)
     return Average(mean * size, np.sqrt(variance) * size, left, weights)
 

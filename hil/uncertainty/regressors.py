@@ -9,8 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.trajectory import Motion
 from hil.signals.constants import CELLS_A_SIDE, LENGTHS, TIMES, WAVES
-from hil.uncertainty.effects import Recorded, of_readings
+from hil.uncertainty.effects import centred, delayed, direction, of_readings, progress
 
 Array = NDArray[np.float64]
 
@@ -32,12 +33,12 @@ NAMES: Final[Mapping[str, str]] = MappingProxyType(
 """The respects in which a model is tested: a description for each code."""
 
 
-def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
+def cuts(motion: Motion) -> list[tuple[str, Array | float]]:
     """Return the parts of the recording between which Kc and Bc are compared, each with its code.
 
     A part is given as weights (n,) of the samples, or as the frequency, Hz, that splits the band into two parts.
     """
-    angle, rate = recorded.centred(), recorded.rate
+    angle, rate = centred(motion), motion.dtheta_dot
     speed = float(np.sqrt(np.mean(rate**2) / np.mean(angle**2)))  # rad/s
     size = np.abs(angle)
     return [
@@ -48,43 +49,43 @@ def cuts(recorded: Recorded) -> list[tuple[str, Array | float]]:
     ]
 
 
-def regressors(recorded: Recorded, model: Array) -> dict[str, Array]:
+def regressors(motion: Motion, model: Array) -> dict[str, Array]:
     """Return the regressors (n, k) of each lack-of-fit test, by its code. model (n,): torque of the model, N m."""
-    angle, rate = recorded.centred(), recorded.rate
+    angle, rate = centred(motion), motion.dtheta_dot
     x, v = angle / np.abs(angle).max(), rate / max(float(np.abs(rate).max()), 1e-300)
     return {
-        "memory": _of_before(recorded, x, v),
-        "shape": _shapes(recorded, x, v, np.abs(model - np.median(model))),
+        "memory": _of_before(motion, x, v),
+        "shape": _shapes(motion, x, v, np.abs(model - np.median(model))),
         "angle": np.stack([wave(2.0 * np.pi * turns * x) for turns in WAVES for wave in (np.cos, np.sin)], axis=1),
-        "time": _in_time(recorded, x, v),
-        "readings": of_readings(recorded),
+        "time": _in_time(motion, x, v),
+        "readings": of_readings(motion),
     }
 
 
-def _of_before(recorded: Recorded, x: Array, v: Array) -> Array:
-    step, early = recorded.step, -TIMES[1]  # readings that were interpolated know what comes
+def _of_before(motion: Motion, x: Array, v: Array) -> Array:
+    step, early = motion.step, -TIMES[1]  # readings that were interpolated know what comes
     lags = [*(lag for lag in TIMES if lag >= step), -step, step, early]
-    delayed = [recorded.delayed(values, lag) for values in (x, v) for lag in lags]
-    return np.stack([*delayed, recorded.slope(v)], axis=1)
+    before = [delayed(motion, values, lag) for values in (x, v) for lag in lags]
+    return np.stack([*before, motion.slope(v)], axis=1)
 
 
-def _shapes(recorded: Recorded, x: Array, v: Array, carried: Array) -> Array:
-    sign, reach = recorded.sign(), float(np.abs(recorded.centred()).max())
+def _shapes(motion: Motion, x: Array, v: Array, carried: Array) -> Array:
+    sign, reach = direction(motion), 0.5 * float(np.ptp(motion.dtheta))
     powers = [np.ones_like(x), np.abs(x), x * x, x**3, x**5, np.abs(v), v * v, v * np.abs(v), v**3]
     products = [x * v, np.abs(x) * v, x * x * v, x * v * v]
     friction = [sign, np.abs(x) * sign, x * x * sign, carried * sign]
-    return np.stack([*powers, *products, *friction, *(recorded.presliding(p * reach) for p in LENGTHS[2:7:4])], axis=1)
+    return np.stack([*powers, *products, *friction, *(motion.presliding(p * reach) for p in LENGTHS[2:7:4])], axis=1)
 
 
-def _in_time(recorded: Recorded, x: Array, v: Array) -> Array:
-    late = recorded.elapsed()
+def _in_time(motion: Motion, x: Array, v: Array) -> Array:
+    late = progress(motion)
     return np.stack([late**power * values for power in (1, 2) for values in (np.ones_like(x), x, v)], axis=1)
 
 
-def mean_over_plane(recorded: Recorded, residuals: Array) -> Array:
+def mean_over_plane(motion: Motion, residuals: Array) -> Array:
     """Return the mean residual, N m, in cells of deflection (rows) and rate (columns); NaN in empty cells."""
     at = []
-    for values in (recorded.deflection, recorded.rate):
+    for values in (motion.dtheta, motion.dtheta_dot):
         edges = np.quantile(values, np.linspace(0.0, 1.0, CELLS_A_SIDE + 1)[1:-1])
         at.append(np.searchsorted(edges, values))
     cell = at[0] * CELLS_A_SIDE + at[1]

@@ -21,14 +21,17 @@ def shared(
     delay: float,
     here: Callable[[int], Any],
     on_done: Callable[[int], object] = lambda _done: None,
+    found: dict[int, Any] | None = None,
 ) -> list[Any]:
     """Return the results of `function` for each task, in the order of the tasks.
 
     here: function that does the task of a given number in this process. others: number of other processes, which start
     after `delay` s of work, so that they load while this process does the first tasks. on_done: called with the number
-    of completed tasks. Raises the error of a task that fails; then no further task begins.
+    of completed tasks. found: in which results are stored by number, also if an error ends the work. Raises the error
+    of a task that fails; then no further task begins.
     """
-    waiting, found, over = deque(range(len(tasks))), dict[int, Any](), threading.Event()
+    waiting, over = deque(range(len(tasks))), threading.Event()
+    found = {} if found is None else found
     # the processes end first, or a task that has become useless would be waited for
     with ThreadPoolExecutor(others) as threads, processes(others) as on:
 

@@ -9,6 +9,7 @@ is required. The text of an exception from the function is shown to the user.
     model: str, firmware: str                    --model, --firmware (means --model where there is no firmware)
     idents: Sequence[int], baudrate: int         --id, --baudrate (bit/s)
     parameters: SimParameters | None             --stand: its plant; None: the emulator's own
+    hand: Sequence[OnLine]                       --hand: the servos of a hand, with their ids and plants
     log: TorqueLog | None                        --log
     faults: FaultPlan | None                     --faults
     timing: object | None                        --instant: None, no time passes; else what the entry's `timing` makes

@@ -20,6 +20,11 @@ class DriveFaults:
         self._none = not plan.kinds() & self.KNOWN
         self._stuck = math.nan
 
+    @property
+    def of_encoder(self) -> bool:
+        """Return whether the plan has a fault of the encoder."""
+        return bool(self._plan.kinds() & {"stuck-encoder", "jumping-encoder", "noisy-encoder"})
+
     def angle(self, angle: float, t: float) -> float:
         """Return the angle that the encoder shows at `t` s when the motor's true angle is `angle`, rad."""
         if self._none:

@@ -1,7 +1,10 @@
 """The motor of an emulated drive: the simulator's plant under the torque that the drive demands.
 
 Every emulated drive uses this motor with its own demand law: impedance, current, or cascades. A law that depends on
-measurements is evaluated every `BEAT`, as in firmware. A constant torque needs no repeated evaluation.
+measurements is evaluated every `BEAT`, as in firmware. A constant torque needs no repeated evaluation. Firmware
+evaluates an impedance law at 10 kHz and more; here it is part of the plant's equations (`affine`), so that no gain is
+too high for a beat. This assumes that such firmware extrapolates the angle by the time constant of its current loop,
+and does not filter the speed; else a high kp without kd would swing.
 """
 
 from __future__ import annotations
@@ -11,7 +14,7 @@ from collections.abc import Callable
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from sim_backend.fault_plan import FaultPlan
-from sim_backend.integrator import CLOCK, STATE, TIME, integrate, start
+from sim_backend.integrator import CEILING, CLOCK, DAMPING, STATE, STIFFNESS, TIME, integrate, start
 from sim_backend.parameters import SimParameters
 from sim_backend.plant import (
     HOUSING,
@@ -27,8 +30,18 @@ from sim_backend.wire.drive_faults import DriveFaults
 
 BEAT = 1e-3
 """s between two evaluations of a demand law that depends on measurements."""
+MOST_HEAT = 1e4
+"""W in the winding at the largest current of an output stage: more than any drive here can supply."""
 _RESTING = 1e-9
 """rad/s and N m: with less speed and torque than this, a motor is at rest."""
+
+
+def limited(wanted: float, most: float) -> float:
+    """Return `wanted` limited to the magnitude `most`, both in the same unit; 0 if either is NaN or `wanted` infinite.
+
+    Python's min and max turn NaN into the limit, which would be the full torque.
+    """
+    return max(-most, min(most, wanted)) if math.isfinite(wanted) and most >= 0.0 else 0.0
 
 
 class DemandLaw(Protocol):
@@ -63,6 +76,8 @@ class PlantMotor(Generic[Law]):
         self.commanded = 0.0
         self.observer: Callable[[], None] = lambda: None
         self.inertia = plant.inertia
+        self._most = math.sqrt(MOST_HEAT / plant.heating)
+        self._lag = 1.0 / plant.current_rate
         self._note = note
         self._faults = DriveFaults(FaultPlan())
         self._constants = packed(plant)
@@ -97,10 +112,10 @@ class PlantMotor(Generic[Law]):
 
     @property
     def demand(self) -> float:
-        """The torque that is demanded of the current loop now, N m; 0 while disabled. Reading it advances the integral
-        of a law that has one.
+        """The torque that is demanded of the current loop now, N m; 0 while disabled, or if the law's result is not
+        finite. Reading it advances the integral of a law that has one.
         """
-        return self.law.demand(self) if self.enabled else 0.0
+        return limited(self.law.demand(self), self._most) if self.enabled else 0.0
 
     @property
     def temperature(self) -> float:
@@ -159,10 +174,24 @@ class PlantMotor(Generic[Law]):
                 self.commanded = self.demand
             if self.law.beats(self.enabled) and not self._rests:
                 end = min((math.floor(self.time / BEAT + 1e-6) + 1.0) * BEAT, until)
-            integrate(self._path, self.commanded, end, self._constants)
+            integrate(self._path, self._within_steps(), end, self._constants)
             self.observer()
             if self._note is not None:
                 self._note(self.time, self.coupling_torque)
+
+    def _within_steps(self) -> float:
+        """Hand the demand law to the integrator if it is affine; else its torque until the next beat. Return the torque
+        demanded at angle and rate zero, N m.
+        """
+        affine = getattr(self.law, "affine", None) if self.enabled and not self._faults.of_encoder else None
+        gains = self._path[CLOCK]
+        if affine is None or not all(map(math.isfinite, affine[:3])):
+            gains[STIFFNESS] = gains[DAMPING] = 0.0
+            return self.commanded
+        torque, gains[STIFFNESS], damping, ceiling = affine
+        gains[DAMPING] = damping + gains[STIFFNESS] * self._lag
+        gains[CEILING] = limited(self._most, ceiling)
+        return float(torque)
 
     @property
     def _rests(self) -> bool:

@@ -262,7 +262,7 @@ def another(make: Callable[[], Any], **different: Any) -> Callable[[Rig], Any]:
 def another_servo(model: str) -> Callable[[Rig], Any]:
     def join(rig: Rig) -> None:
         rig.bus.devices.append(DynamixelDevice(model))
-        rig.bus.devices[1].registers.put("homing_offset", 1234)
+        rig.bus.devices[1].registers.put("homing_offset", 1000)
 
     return join
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -156,13 +157,24 @@ def test_confirming_outlasts_errors_and_interrupts_and_reports_the_interrupt() -
     assert isinstance(result.error, KeyboardInterrupt)
 
 
-def test_confirming_gives_up_after_about_one_second_with_an_alarm() -> None:
+def test_the_alarm_comes_after_0_7_s_and_the_requests_go_on_until_5_s_though_it_blocks() -> None:
     device = armed(*[NoReply("lost") for _ in range(1000)])
-    result = confirm_torque_off(device)  # type: ignore[arg-type]  # only what it calls
+    terminal, alarms = threading.Event(), list[tuple[float, str]]()
+    before = set(threading.enumerate())
+
+    def stopped(text: str) -> None:
+        alarms.append((device.clock.now(), text))
+        terminal.wait(5.0)
+
+    result = confirm_torque_off(device, alarm=stopped)  # type: ignore[arg-type]  # only what it calls
+    terminal.set()
+    for saying in set(threading.enumerate()) - before:
+        saying.join()
     assert not result.confirmed
-    assert result.alarm == "CUT THE POWER: the torque-off is not confirmed (lost)"
-    assert len(device.requests) == 60
-    assert device.clock.now() == pytest.approx(1.0)
+    ((after, text),) = alarms
+    assert text == result.alarm == "CUT THE POWER: the torque-off is not confirmed (lost)"
+    assert after == pytest.approx(0.7)
+    assert device.clock.now() == pytest.approx(5.0)
 
 
 def test_confirming_survives_interrupts_of_its_pauses() -> None:
@@ -208,8 +220,10 @@ def driven(limit: float = 0.1, torque: float = 0.08, angle: float = 0.5) -> Driv
 def test_a_device_that_confirms_and_still_reports_torque_has_not_confirmed(
     torques: tuple[float, ...], how: Driven | None, off: bool
 ) -> None:
-    result = confirm_torque_off(Pulling(*torques), how)  # type: ignore[arg-type]  # only what it calls
+    alarms: list[str] = []
+    result = confirm_torque_off(Pulling(*torques), how, alarms.append)  # type: ignore[arg-type]  # only what it calls
     assert result.confirmed == off
+    assert alarms == [result.alarm] * (not off)
     assert ("CUT THE POWER" in result.alarm) != off
 
 

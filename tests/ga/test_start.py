@@ -10,6 +10,7 @@ import pytest
 
 from ga.bounds import Bounds, bounds_from_data
 from ga.evolution.evolution import PRESETS, begin
+from ga.evolution.generator import seeded, uniforms
 from ga.fitness.dense import WIDER, collapse, dense_error, dense_tangent
 from ga.fitness.engine import evaluate
 from ga.lad.exact import least_absolute_deviations
@@ -179,3 +180,17 @@ def test_trials_that_start_informed_are_independent_and_fill_the_cube(paper_like
     assert np.abs(together[np.triu_indices(30, 1)]).max() < 0.5
     for population in populations:
         assert population.fitness.tolist() == [evaluate(engine, chromosome) for chromosome in population.genes]
+
+
+def test_a_chromosome_outside_the_bounds_is_drawn_again_before_the_next_one(paper_like: Data) -> None:
+    start = started(paper_like.columns, paper_like.torque)
+    bounds = Bounds(start.centre - 0.4 * start.reach * np.diag(start.backward), start.centre + np.ones(2))
+    engine = collapse(paper_like.columns, paper_like.torque, start)
+    genes = begin(engine, bounds, PRESETS["default"], 3, 0, start=start).genes
+    state = seeded(3, 0)
+    expected: list[Array] = []
+    while len(expected) < len(genes):
+        one = start.centre + start.backward @ (start.reach * (2.0 * uniforms(state, 2) - 1.0))
+        if (one >= bounds.low).all():
+            expected.append(one)
+    assert genes == pytest.approx(np.array(expected), rel=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -205,6 +206,90 @@ def test_arrays_and_quantities_give_what_the_recording_gives(make_recording: Mak
     assert "<td>Kc</td>" in found._repr_html_()
 
 
+class Column(list[float]):
+    def to_numpy(self) -> np.ndarray:
+        return np.array(self)
+
+
+class Frame(dict[str, Column]):
+    """A data frame such as polars has: columns by name, without an index."""
+
+    columns = property(list)
+    shape = property(lambda self: (len(next(iter(self.values()))), len(self)))
+
+
+def frame(path: Path, *, torque: str = "torque", scale: float = 1.0) -> Frame:
+    loaded = api.load(path).filled
+    columns = {"time": loaded["time"], "dtheta": loaded["dtheta"], torque: scale * loaded["torque"]}
+    return Frame({name: Column(values) for name, values in columns.items()})
+
+
+def test_a_data_frame_is_identified_by_its_headings_and_their_units(make_recording: Maker) -> None:
+    path = make_recording(noise=2e-4, samples=600)
+    wanted = api.identify(path, "linear", trials=1)
+    found = api.identify(frame(path, torque="torque [mN*m]", scale=1e3), "linear", trials=1)
+    assert found["Kc"].value == pytest.approx(wanted["Kc"].value, rel=1e-9)
+    assert api.identify(path.read_bytes(), "linear", trials=1).digest == wanted.digest
+    with pytest.raises(api.WrongUse, match=r"no column torque; it has time, dtheta, tau\. Rename columns"):
+        api.identify(frame(path, torque="tau"))
+    twice = Frame({**frame(path), "torque_Nm": frame(path)["torque"]})
+    with pytest.raises(api.WrongUse, match="the columns torque, torque_Nm are all torque: keep one"):
+        api.identify(twice)
+
+
+def test_a_digest_changes_with_the_result_and_with_nothing_else(make_recording: Maker) -> None:
+    first = api.identify(make_recording("a.h5", noise=2e-4, samples=600), "linear", trials=2, workers=1)
+    again = api.identify(make_recording("b.h5", noise=2e-4, samples=600), "linear", trials=2, workers=2)
+    others = [
+        api.identify(make_recording("c.h5", noise=2e-4, samples=600, seed=1), "linear", trials=2),
+        api.identify(make_recording("a.h5", noise=2e-4, samples=600), "linear", trials=3),
+    ]
+    assert first.digest == again.digest
+    assert first.digest not in {one.digest for one in others}
+
+
+def test_params_intervals_rows_and_predictions_are_named_as_in_statsmodels(make_recording: Maker) -> None:
+    path = make_recording(
+        noise=2e-4, samples=600, change=lambda channels: channels["torque"].__setitem__(300, math.nan)
+    )
+    result = api.identify(path, "linear", trials=1)
+    assert result.params == {name: one.value for name, one in result.parameters.items()}
+    assert result.conf_int() == {"Kc": result["Kc"].ci95, "Bc": result["Bc"].ci95}
+    assert 300 not in result.rows
+    torque = np.asarray(api.load(path)["torque"])[result.rows]
+    np.testing.assert_allclose(torque, result.predicted + result.residuals)
+    np.testing.assert_array_equal(result.predict(), result.predicted)
+    other = make_recording("b.h5", samples=600, kc=0.02 + 1e-9)
+    expected = np.asarray(api.load(other)["torque"])[api.identify(other, "linear", trials=1).rows]
+    np.testing.assert_allclose(result.predict(other), expected, atol=1e-4)
+
+
+@pytest.mark.study
+def test_a_frame_of_pandas_gives_residuals_with_its_labels(make_recording: Maker) -> None:
+    import pandas as pd
+
+    path = make_recording(noise=2e-4, samples=600)
+    table = api.load(path).to_pandas()
+    wanted = api.identify(path, "linear", trials=1)
+    dates = table.set_index(pd.Timestamp("2026-01-01") + pd.to_timedelta(table.index, unit="s"))
+    dates.index.name = None
+    zoned = dates.tz_localize("Europe/Berlin")
+    empty = table.astype("Float64").reset_index()
+    empty.loc[300, "torque"] = pd.NA
+    for given in (table, dates, zoned, empty):
+        found = api.identify(given, "linear", trials=1)
+        assert found["Kc"].value == pytest.approx(wanted["Kc"].value, rel=1e-3)
+        assert found.residuals.index.equals(given.index[found.rows])
+        assert found.predict(given).equals(found.predicted)
+    part = api.identify(table, "linear", trials=1, start=0.2).residuals
+    assert part.index[0] >= 0.2
+    whole = api.identify(table, "linear", trials=1).residuals
+    both = part.index.intersection(whole.index)
+    assert len(both) > 450
+    np.testing.assert_allclose(part[both], whole[both], atol=2e-5)
+    assert pd.DataFrame.from_dict(found.conf_int(), orient="index").shape == (2, 2)
+
+
 @pytest.mark.parametrize(
     ("arrays", "said"),
     [
@@ -311,8 +396,10 @@ def test_a_comparison_is_the_command_lines(hil: Hil, make_recording: Maker) -> N
 
 
 @pytest.mark.study
-def test_a_design_says_itself_in_a_line_and_the_best_beats_the_one_given() -> None:
+def test_a_design_says_itself_in_a_line_and_the_best_beats_the_one_given(hil: Hil) -> None:
     result = api.design("sim", "multisine", duration=1.0)
+    shown = hil("design", "--backend", "sim", "--profile", "multisine", "--duration", 1).out
+    assert set(re.findall(r"\b([mu]?)N m", shown)) == {"m"}
     assert "\n" not in str(result)
     assert result.best.relative <= result.given.relative
     assert len(repr(result)) < 300

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+import hil
 from hil.cli.app import run
 from hil.errors import meant, proposing, unknown
+
+from .conftest import Maker
 
 
 def test_an_unknown_name_has_the_nearest_and_all_that_are_known() -> None:
@@ -60,14 +64,47 @@ def test_an_output_whose_name_would_steer_a_terminal_is_refused(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("number", [errno.EMFILE, errno.ENOMEM, errno.EAGAIN])
+@pytest.mark.parametrize(
+    "error",
+    [OSError(number, os.strerror(number)) for number in (errno.EMFILE, errno.ENOMEM, errno.EAGAIN)]
+    + [MemoryError("no room for it"), RuntimeError("can't start new thread")],
+    ids=repr,
+)
 def test_a_computer_that_is_out_of_files_or_memory_is_no_fault_in_hil(
-    number: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    error: Exception, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refused(*_: object, **__: object) -> None:
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr("hil.api.runs.record", refused)
+    monkeypatch.setattr("hil.api.runs.record", raising(error))
     assert run(["record", "--backend", "sim"]) == 2
     said = capfd.readouterr().err
-    assert (os.strerror(number) in said, "ulimit -n" in said, "fault in hil" in said) == (True, True, False)
+    assert (str(error) in said, "ulimit -n" in said, "fault in hil" in said) == (True, True, False)
+
+
+def raising(error: Exception) -> Callable[..., None]:
+    def refused(*_: object, **__: object) -> None:
+        raise error
+
+    return refused
+
+
+def test_a_fault_of_hils_own_has_its_own_exit_status_and_exception(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The caller's own function may raise as well: then the caller gets the error that it raised."""
+    fault = ZeroDivisionError("float division by zero")
+    with monkeypatch.context() as patch:
+        patch.setattr("hil.recording.reader.Recording.__init__", raising(fault))
+        assert run(["identify", "a.h5"]) == 70
+        assert "fault in hil itself" in capfd.readouterr().err
+        with pytest.raises(hil.InternalError, match="fault in hil itself") as raised:
+            hil.identify("a.h5")
+        assert raised.value.__cause__ is fault
+    with pytest.raises(TypeError):
+        hil.identify("a.h5", nothing=1)  # type: ignore[call-arg]
+    with pytest.raises(hil.WrongUse):
+        hil.identify("a.h5")
+
+
+def test_an_error_of_the_callers_function_is_the_callers(make_recording: Maker) -> None:
+    error = ZeroDivisionError("of the caller")
+    with pytest.raises(ZeroDivisionError):
+        hil.identify(make_recording(samples=400, noise=1e-5), "linear", progress=raising(error))

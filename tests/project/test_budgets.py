@@ -18,13 +18,13 @@ WORDS = 40_000  # README, CHANGELOG and docs/, without the decisions
 
 MODULES_OF_A_FOLDER = 15
 LINES_OF_A_MODULE = 400
-LONGER_MODULES = {"ga/model/trajectory.py": 420}  # may only fall
+LONGER_MODULES = {"ga/model/trajectory.py": 411}  # may only fall
 LINES_OF_A_FUNCTION, OF_ONE_IN_TEN, OF_HALF = 60, 20, 7
 
 STACK = {  # numbers in statements of a module, other numbers in functions, codes of diagnostics
     "hil/identification": (13, 15, 20),
-    "hil/uncertainty": (7, 14, 2),
-    "hil/signals": (387, 12, 14),  # one file for the three: 583 with the models, of 601 before
+    "hil/uncertainty": (5, 12, 2),
+    "hil/signals": (384, 10, 14),  # one file for the three: 578 with the models, of 601 before
     "ga/model": (176, 22, 0),
 }
 CODES = 34

@@ -218,6 +218,7 @@ def test_the_term_of_the_page_is_identified_in_a_table_that_was_made_with_it(
     assert values["Kc"] == pytest.approx(0.02, rel=0.01)
     assert values["Bc"] == pytest.approx(2e-4, rel=0.03)
     assert values["K7"] == pytest.approx(0.15, rel=0.02)
+    assert terms.TERMS["seventh"].example.split()[0] == "K7"
 
 
 IN_THE_FOLDER = """

@@ -11,16 +11,22 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from sim_backend.wire.catalogue import EMULATORS
+
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+def benchmark(name: str) -> Any:
+    sys.path.insert(0, str(BENCHMARKS))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(BENCHMARKS))
 
 
 @pytest.fixture(scope="module")
 def parsers() -> Any:
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        return importlib.import_module("parsers")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
+    return benchmark("parsers")
 
 
 pytestmark = pytest.mark.usefixtures("damaged_files")  # SciPy ends the process on some damaged MAT-files
@@ -81,3 +87,8 @@ def test_a_reply_with_up_to_three_changed_bits_is_never_taken_for_another(
         reply[bit // 8] ^= 1 << bit % 8
     answer = parser.read(bytes(reply))
     assert answer is None or answer == parser.read(seed)
+
+
+@pytest.mark.parametrize("name", sorted(EMULATORS))
+def test_no_frame_ends_an_emulator_or_makes_its_plant_infinite(name: str) -> None:
+    assert benchmark("emulators").feed(name, 2_000, seed=2000) == 2_000

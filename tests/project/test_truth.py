@@ -100,16 +100,6 @@ def test_no_estimator_can_identify_the_damping_of_the_unidentifiable_cases(study
     assert min(bounds) > 0.5 * BC
 
 
-def test_linear_finds_the_clean_closed_form_within_five_standard_errors(study: Study, tmp_path: Path) -> None:
-    case = study.cases.case_named("clean")
-    study.recordings.closed_form(case, 0, tmp_path / "one.h5")
-    found = study.truth.estimate(tmp_path / "one.h5", "linear")
-    assert found["status"] == 0
-    for name, true in (("Kc", KC), ("Bc", BC)):
-        assert abs(found[name]["value"] - true) < 5.0 * found[name]["standard_error"]
-        assert found[name]["standard_error"] < 3.0 * study.cases.bound(case)[name]
-
-
 def test_the_clean_simulator_is_clean_and_reaches_the_amplitude_at_15_hz(study: Study, tmp_path: Path) -> None:
     study.recordings.simulated(study.cases.case_named("clean"), 0, tmp_path / "one.h5")
     with Recording(tmp_path / "one.h5") as recording:

@@ -36,3 +36,12 @@ def test_a_short_walk_ends_in_sentences(walk: Any, files: Path, tmp_path: Path) 
         drawn = walk.drawn(random.Random(number), files, CHEAP)  # noqa: S311 - no secret
         ended, reason = walk.walked(drawn, files, tmp_path / str(number))
         assert not reason, (drawn, ended)
+
+
+def test_tables_drawn_at_random_are_read_right_or_refused(walk: Any, tmp_path: Path) -> None:
+    odd_files = sys.modules[walk.make_files.__module__]
+    drawn = [odd_files.draw(seed) for seed in range(30)]
+    found = [odd_files.judged(one, tmp_path / "a.csv") for one in drawn]
+    assert [one.words for one, said in zip(drawn, found, strict=True) if said == "wrong"] == []
+    assert found.count("right") > 15
+    assert all(said == "refused" for one, said in zip(drawn, found, strict=True) if not one.true)

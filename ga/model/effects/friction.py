@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import Mark, Parameter, Regressors, Term, searched
+from ga.model.record import SCALE, STRENGTH, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,7 +29,6 @@ FALLS: Final = (0.02, 1.5)
 """The smallest and the largest rate over which friction falls from its value at rest, relative to the rate that
 dominates damping (`felt`).
 """
-
 
 TURNS: Final = (0.002, 0.6)
 """The smallest and the largest rate over which friction reverses smoothly, relative to the rate that dominates damping
@@ -105,33 +104,24 @@ def _falling_on(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
 COULOMB: Final = Term(
     "coulomb",
     "dry friction",
-    (Parameter("Fc", "N*m", "Coulomb friction", "dry friction", presence=True, positive=True),),
+    (Parameter("Fc", "N*m", "Coulomb friction", "dry friction", **STRENGTH),),
     columns=_sign,
     sticks=True,
     selection="considered",
     role="friction",
     bench="small",
     mark=Mark("coulomb", "dry friction", "try --model {coulomb}, or {smooth} where it turns gradually with the rate"),
+    example="Fc 2, 10, 40 % of torque",
     equation="Fc*sign(v)",
 )
 
-
-FALLING: Final = searched(
-    "vst", "rad/s", "rate over which it falls", absent=None, positive=True, starts=(0.02, 0.1, 0.25, 0.5)
-)
+FALLING: Final = searched("vst", "rad/s", "rate over which it falls", **SCALE, starts=(0.02, 0.1, 0.25, 0.5))
 
 STRIBECK: Final = Term(
     "stribeck",
     "dry friction that is higher at low rates",
     (
-        Parameter(
-            "Fs",
-            "N*m",
-            "by how much friction at rest is higher than at speed",
-            "fall of friction",
-            presence=True,
-            positive=True,
-        ),
+        Parameter("Fs", "N*m", "by how much friction at rest is higher than at speed", "fall of friction", **STRENGTH),
         FALLING,
     ),
     columns=_falling,
@@ -139,6 +129,7 @@ STRIBECK: Final = Term(
     bounds=over_rates(*FALLS),
     role="friction",
     needs="coulomb",
+    example="Fs 2, 10, 30 % of torque; vst 2 rad/s",
     equation="Fs*exp(-(v/vst)^2)*sign(v)",
 )
 
@@ -147,13 +138,7 @@ CAPSTAN: Final = Term(
     "friction in proportion to the torque, as of a tendon in its sheath",
     (
         searched(
-            "mu",
-            "1",
-            "part of the torque that is friction",
-            "load share",
-            presence=True,
-            positive=True,
-            starts=(0.05, 0.15, 0.3, 0.6),
+            "mu", "1", "part of the torque that is friction", "load share", **STRENGTH, starts=(0.05, 0.15, 0.3, 0.6)
         ),
         searched(
             "rest",
@@ -177,6 +162,7 @@ CAPSTAN: Final = Term(
     excludes=("backlash", "slack"),
     reason="where a gap is open, the tendon carries no torque that could make friction",
     sticks=True,
+    example="mu 0.03, 0.1, 0.3; rest 5 % of stroke",
     equation="x counts from rest; springs and dampers are multiplied by 1 + mu*sign(v)*sign(tau)",
 )
 
@@ -193,6 +179,7 @@ PULLEY: Final = Term(
     excludes=(*CAPSTAN.excludes, "capstan"),
     reason="capstan is the same with a damper in the tendon, and where a gap is open nothing rubs",
     sticks=True,
+    example="mu 0.03, 0.1, 0.3; rest 5 % of stroke",
     equation="x counts from rest; springs are multiplied by 1 + mu*sign(v)*sign(x)",
 )
 
@@ -201,13 +188,7 @@ SMOOTH: Final = Term(
     "dry friction that turns smoothly with the rate, as of a lubricated joint",
     (
         searched(
-            "vr",
-            "rad/s",
-            "rate over which friction turns",
-            "turning rate",
-            absent=None,
-            positive=True,
-            starts=(0.005, 0.02, 0.1, 0.25, 0.5),
+            "vr", "rad/s", "rate over which it turns", "turning rate", **SCALE, starts=(0.005, 0.02, 0.1, 0.25, 0.5)
         ),
     ),
     bounds=over_rates(*TURNS),
@@ -216,13 +197,14 @@ SMOOTH: Final = Term(
     deviation=_rooted,
     needs="coulomb",
     or_needs=("capstan", "pulley"),
+    example="vr 0.1, 0.5, 2 rad/s",
     equation="sign(v) is tanh(v/vr)",
 )
 
 QUADRATIC: Final = Term(
     "quadratic",
     "a damping that grows with the rate",
-    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", "growth of damping", presence=True, positive=True),),
+    (Parameter("B2", "N*m*s^2/rad^2", "quadratic damping", "growth of damping", **STRENGTH),),
     columns=lambda r: (r.motion.dtheta_dot * abs(r.motion.dtheta_dot) * r.contact,),
     rates=lambda r, c: (2.0 * abs(r.motion.dtheta_dot) * c.dtheta_dot * r.contact,),
     role="damping",
@@ -231,22 +213,20 @@ QUADRATIC: Final = Term(
         "damping that rises with the rate",
         "try --model {quadratic}, and record at several amplitudes: Bc then rises with them",
     ),
+    example="B2 2, 10, 40 % of torque",
     equation="B2*v*|v|",
 )
 
 INERTIA: Final = Term(
     "inertia",
     "an inertia that moves with the deflection",
-    (
-        Parameter(
-            "J", "kg*m^2", "inertia that moves with the deflection", "moment of inertia", presence=True, positive=True
-        ),
-    ),
+    (Parameter("J", "kg*m^2", "inertia that moves with the deflection", "moment of inertia", **STRENGTH),),
     columns=lambda r: (r.motion.dtheta_ddot,),
     rates=lambda _r, c: (c.dtheta_ddot,),
     role="mass",
     mark=Mark("inertia", "an inertia in the torque", "try --model {inertia}, or set motor_inertia in the stand"),
     selection="motor torque",  # elsewhere it differs too little from skew
     bends=False,
+    example="J 2, 10, 40 % of torque",
     equation="J*dv/dt",
 )

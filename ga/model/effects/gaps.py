@@ -124,6 +124,7 @@ BACKLASH: Final = Term(
     excludes=_others("backlash"),
     reason=_ONE_GAP,
     breaks=True,
+    example="gap 1, 4, 20 % of stroke; centre 0",
     equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them tau is 0",
 )
 
@@ -134,12 +135,14 @@ DEADBAND: Final = Term(
     bounds=_gap_bounds,
     remaining=_beyond_gap,
     shifts=_gap_shifts,
+    selection="considered",
     role="play",
     open=_open,
     needs="offset",
     excludes=_others("deadband"),
     reason=_ONE_GAP,
     breaks=True,
+    example="gap 1, 4, 20 % of stroke; centre 0",
     equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them x is 0",
 )
 
@@ -169,5 +172,6 @@ SLACK: Final = Term(
     excludes=_others("slack"),
     reason=_ONE_GAP,
     breaks=True,
+    example="slack -45, -25, 0 % of stroke",
     equation="x counts from slack; below it tau is 0",
 )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.effects.friction import CAPSTAN, FALLING, FALLS, MOST_FRICTION, capstan_bounds, over_rates
-from ga.model.record import Kind, Mark, Parameter, Regressors, Term, searched
+from ga.model.effects.friction import CAPSTAN, MOST_FRICTION, capstan_bounds
+from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,9 +19,6 @@ REACHES: Final = (0.002, 0.8)
 """The smallest and the largest deflection over which friction builds up, as fractions of the range of the
 deflection.
 """
-
-MOST_RISE: Final = 2.0
-"""The largest excess of friction at rest over friction at speed, as a fraction of friction at speed."""
 
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -53,21 +50,6 @@ def _yielding_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]
     return (rate * (1.0 - np.where(rate * load > 0.0, np.abs(load), 0.0)) / length,)
 
 
-def _bristles(regressors: Regressors) -> tuple[Array, ...]:
-    reach, rise, over = (float(value) for value in regressors.own)
-    return (regressors.motion.bristles(reach, rise, over),)
-
-
-def _bristles_on(regressors: Regressors, _changing: Motion) -> tuple[Array, ...]:
-    import numpy as np
-
-    from ga.model.memory import falls
-
-    (load,), rate = _bristles(regressors), regressors.motion.dtheta_dot
-    reach, rise, over = (float(value) for value in regressors.own)
-    return ((rate - np.abs(rate) * load / (1.0 + rise * falls(rate, over))) / reach,)
-
-
 def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values: Array) -> Array:
     """Return the factor (n,) of the carried torque: long after a reversal 1 + mu if the load grows, and 1 - mu if it
     falls.
@@ -96,12 +78,10 @@ def _over(name: str, about: str, kind: Kind) -> Parameter:
     about: its meaning.
     """
     starts = (0.005, 0.02, 0.06, 0.2, 0.6)
-    return searched(name, "rad", about, kind, absent=None, positive=True, starts=starts)
+    return searched(name, "rad", about, kind, **SCALE, starts=starts)
 
 
-_FRICTION: Final = Parameter(
-    "Fd", "N*m", "friction long after a reversal", "presliding friction", presence=True, positive=True
-)
+_FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", "presliding friction", **STRENGTH)
 _REACH: Final = _over("reach", "deflection after a reversal over which the friction builds up", "presliding length")
 _MU, _REST = CAPSTAN.parameters
 
@@ -116,40 +96,14 @@ DAHL: Final = Term(
     role="friction",
     mark=Mark(
         "hysteresis",
-        "friction that builds up over a distance (LuGre, Bouc-Wen)",
+        "friction that builds up over a distance (Dahl, Bouc-Wen)",
         "try --model {dahl} or {boucwen}, and record two amplitudes: Kc then falls with the larger one",
         again=True,
     ),
     excludes=("coulomb",),
     reason="coulomb is dahl without the build-up",
+    example="Fd 2, 10, 40 % of torque; reach 5 % of stroke",
     equation="Fd*z, dz/dt = (v - |v|*z)/reach",
-)
-
-LUGRE: Final = Term(
-    "lugre",
-    "dry friction that builds up over a deflection and is higher at low rates",
-    (
-        _FRICTION,
-        _REACH,
-        searched(
-            "rise",
-            "1",
-            "part of the friction at speed by which it is higher at rest",
-            "fall of friction",
-            presence=True,
-            positive=True,
-            starts=(0.1, 0.4),
-        ),
-        FALLING,
-    ),
-    columns=_bristles,
-    rates=_bristles_on,
-    bounds=lambda m, highest: (*_dahl_bounds(m, highest), (0.0, MOST_RISE), *over_rates(*FALLS)(m, highest)),
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
-    role="friction",
-    excludes=("coulomb", "dahl"),
-    reason="coulomb and dahl are lugre without its fall or its build-up",
-    equation="Fd*z, dz/dt = (v - |v|*z/(1 + rise*exp(-(v/vst)^2)))/reach",
 )
 
 BOUC_WEN: Final = Term(
@@ -157,12 +111,7 @@ BOUC_WEN: Final = Term(
     "a spring beside Kc that yields, as in hysteresis",
     (
         Parameter(
-            "Fy",
-            "N*m",
-            "torque of the spring that yields, long after a reversal",
-            "yielding friction",
-            presence=True,
-            positive=True,
+            "Fy", "N*m", "torque of the spring that yields, long after a reversal", "yielding friction", **STRENGTH
         ),
         _over("yield", "deflection over which the spring yields", "yielding length"),
     ),
@@ -171,8 +120,9 @@ BOUC_WEN: Final = Term(
     bounds=_dahl_bounds,
     forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
     role="friction",
-    excludes=("coulomb", "dahl", "lugre"),
-    reason="coulomb is boucwen without the build-up, and dahl and lugre are other laws of it",
+    excludes=("coulomb", "dahl"),
+    reason="coulomb is boucwen without the build-up, and dahl is another law of it",
+    example="Fy 2, 10, 40 % of torque; yield 5 % of stroke",
     equation="Fy*z, dz/dt = v*(1 - |z| where z and v have one sign)/yield",
 )
 
@@ -187,8 +137,9 @@ SHEATH: Final = Term(
     role="load",
     repeats=True,
     needs="offset",
-    excludes=(*CAPSTAN.excludes, "deadband", "capstan", "pulley", "dahl", "lugre", "boucwen"),
+    excludes=(*CAPSTAN.excludes, "deadband", "capstan", "pulley", "dahl", "boucwen"),
     reason="sheath is capstan with one law of build-up, and beside a gap its name is gear",
+    example="mu 0.03, 0.1, 0.3; rest 5 % of stroke; reach 5 % of stroke",
     equation="x counts from rest; springs and dampers are multiplied by 1 + mu*z*sign(tau), dz/dt = (v - |v|*z)/reach",
 )
 
@@ -203,7 +154,8 @@ GEAR: Final = Term(
     forgets=lambda m, own: m.fading(m.travelled, float(own[-1])),
     role="load",
     needs="backlash",
-    excludes=("coulomb", "dahl", "lugre", "boucwen", "capstan", "pulley", "sheath"),
-    reason="coulomb, dahl, capstan and sheath are parts of gear, and lugre and boucwen are other laws of it",
+    excludes=("coulomb", "dahl", "boucwen", "capstan", "pulley", "sheath"),
+    reason="coulomb, dahl, capstan and sheath are parts of gear, and boucwen is another law of it",
+    example="Fd 2, 10, 40 % of torque; mu 0.1; reach 5 % of stroke",
     equation="Fd*z, dz/dt = (v - |v|*z)/reach; springs and dampers are multiplied by 1 + mu*z*sign(tau)",
 )

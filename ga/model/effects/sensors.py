@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import Mark, Parameter, Term, searched
+from ga.model.record import STRENGTH, Mark, Parameter, Term, searched
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +20,6 @@ LONGEST_SKEW: Final = 0.02
 
 LONGEST_LAG: Final = 0.05
 """The longest time constant of a torque cell, s: that of a bandwidth of 3 Hz."""
-
 
 LONGEST_MEAN: Final = 0.1
 """The longest time, s, over which a sensor may average its torque reading."""
@@ -53,6 +52,7 @@ OFFSET: Final = Term(
     mark=Mark("offset", "an offset of the torque", "try --model {offset}"),
     selection="smallest",  # no reading's zero is quite the coupling's: other terms would stand in for it on the way
     bends=False,
+    example="tau0 2, 5, 40 % of torque",
     equation="tau0",
 )
 
@@ -69,6 +69,7 @@ DRIFT: Final = Term(
     mark=Mark("drift", "a drift of the torque", "try --model {drift}"),
     needs="offset",
     bends=False,
+    example="drift 2, 10, 40 % of torque",
     equation="drift*t",
 )
 
@@ -77,12 +78,7 @@ SKEW: Final = Term(
     "a torque reading older than the angle's",
     (
         searched(
-            "skew",
-            "s",
-            "how much older the torque reading is than that of the angle",
-            "delay",
-            starts=(0.25, 0.5, 0.75),
-            refined=True,
+            "skew", "s", "age of the torque reading less the angle's", "delay", starts=(0.25, 0.5, 0.75), refined=True
         ),
     ),
     bounds=_skew_bounds,
@@ -94,23 +90,14 @@ SKEW: Final = Term(
     # it moves the breaks that friction makes at every reversal, and differs little from what else follows late
     confusable=("coulomb", "lag", "maxwell"),
     bends=False,
+    example="skew 0.0003, 0.001, 0.004 s",
     equation="x and v are those of the time t - skew",
 )
 
 LAG: Final = Term(
     "lag",
     "a torque cell that follows with a first-order lag",
-    (
-        searched(
-            "lag",
-            "s",
-            "time constant of the torque cell",
-            "lag time",
-            presence=True,
-            positive=True,
-            starts=(0.02, 0.1, 0.3, 0.6),
-        ),
-    ),
+    (searched("lag", "s", "time constant of the torque cell", "lag time", **STRENGTH, starts=(0.02, 0.1, 0.3, 0.6)),),
     bounds=_until(LONGEST_LAG, 0.5),  # behind a longer one the damping cannot be identified
     cell=lambda m, torque, own: m.whole[0].lagged(torque, float(own[0]))[m.whole[1]],
     forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
@@ -121,6 +108,7 @@ LAG: Final = Term(
         "try --model {lag}, or use a faster cell or switch its filter off",
     ),
     bends=False,
+    example="lag 0.001, 0.005, 0.02 s",
     equation="the reading r follows tau: lag*dr/dt = tau - r",
 )
 
@@ -133,8 +121,7 @@ MEAN: Final = Term(
             "s",
             "time over which a torque reading is the mean, half before and half after; its delay is the skew",
             "mean time",
-            presence=True,
-            positive=True,
+            **STRENGTH,
             starts=(0.1, 0.3, 0.6),
         ),
     ),
@@ -144,5 +131,6 @@ MEAN: Final = Term(
     role="channel",
     reason="lag and mean are two accounts of the torque cell's filter",
     bends=False,
+    example="window 0.004, 0.01, 0.03 s",
     equation="the reading is the mean of tau over window",
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ga.model.effects.gaps import GAPS, extent
-from ga.model.record import Mark, Parameter, Regressors, Term, searched
+from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -93,6 +93,13 @@ def _cubed(motion: Motion, columns: Mapping[Parameter, Array], _values: Mapping[
     return columns[LINEAR.parameters[0]] * motion.dtheta**2
 
 
+def _gapped(motion: Motion, _columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
+    """Return the sign (n,) of the deflection: what a gap narrower than the noise takes off the torque."""
+    import numpy as np
+
+    return np.sign(motion.dtheta)
+
+
 def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     import numpy as np
 
@@ -116,15 +123,13 @@ _VISCOELASTIC: Final = Mark(
 )
 
 
-def _branch(number: int, needs: str) -> Term:
+def _branch(number: int, needs: str, example: str) -> Term:
     """Return the term of one Maxwell branch: a spring and a damper in series, parallel to Kc and Bc."""
     return Term(
         "maxwell" if number == 1 else f"maxwell{number}",
         "a viscoelastic branch: a spring in series with a damper" if number == 1 else "another viscoelastic branch",
         (
-            Parameter(
-                f"K{number}", "N*m/rad", "stiffness that relaxes", "relaxing stiffness", presence=True, positive=True
-            ),
+            Parameter(f"K{number}", "N*m/rad", "stiffness that relaxes", "relaxing stiffness", **STRENGTH),
             searched(
                 f"tau{number}",
                 "s",
@@ -145,6 +150,7 @@ def _branch(number: int, needs: str) -> Term:
         mark=None if needs else _VISCOELASTIC,
         needs=needs,
         bends=False,
+        example=example,
         equation=f"K{number}*(x - y{number}), tau{number}*dy{number}/dt = x - y{number}",
     )
 
@@ -162,6 +168,7 @@ LINEAR: Final = Term(
     role="coupling",
     selection="smallest",
     bends=False,
+    example="Kc 0.01775 N*m/rad; Bc 0.06e-3, 0.19e-3, 0.6e-3 N*m*s/rad",
     equation="Kc*x + Bc*v",
 )
 
@@ -171,10 +178,12 @@ CUBIC: Final = Term(
     (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
     columns=lambda r: (r.angle**2 * r.angle,),  # a cube takes thirty times as long as a square
     pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
+    deviation=_gapped,
     confusable=GAPS,
     selection="considered",
     role="curve",
     mark=Mark("cubic", "a spring that stiffens", "try --model {cubic}, {exponential} or {toe}"),
+    example="K3 2, 10, 40 % of torque",
     equation="K3*x^3",
 )
 
@@ -187,6 +196,7 @@ QUINTIC: Final[Term] = Term(
     needs="cubic",
     role="curve",
     deviation=lambda m, columns, _values: columns[QUINTIC.parameters[0]] * m.dtheta**2,
+    example="K5 2, 10, 40 % of torque",
     equation="K5*x^5",
 )
 
@@ -200,9 +210,7 @@ ASYMMETRIC: Final = Term(
     "asymmetric",
     "a spring that is stiffer in one direction",
     (
-        Parameter(
-            "Ka", "N*m/rad", "half of what the directions differ by; Kc is their mean", "side stiffness", presence=True
-        ),
+        Parameter("Ka", "N*m/rad", "half the difference of the two; Kc is their mean", "side stiffness", presence=True),
         searched("turn", "rad", "deflection at which the stiffness changes", "side place", absent=None),
     ),
     columns=lambda r: (abs(r.angle - r.own[0]),),
@@ -214,6 +222,7 @@ ASYMMETRIC: Final = Term(
     excludes=GAPS,
     reason="a gap has its own flanks, whose stiffness is one (asymmetric)",
     breaks=True,
+    example="Ka 2, 10, 40 % of torque; turn 0",
     equation="Ka*|x - turn|",
 )
 
@@ -226,6 +235,7 @@ PROGRESSIVE: Final = Term(
     role="curve",
     mark=_ASYMMETRY,
     needs="offset",
+    example="Kp 2, 10, 40 % of torque",
     equation="Kp*x^2",
 )
 
@@ -239,12 +249,11 @@ HARDENING: Final = Term(
     pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
     role="curve",
     seldom=True,  # it has a kink where the joint is unloaded
+    example="Kh 2, 10, 40 % of torque",
     equation="Kh*x*|x|",
 )
 
-_EXPONENT: Final = searched(
-    "exponent", "1/rad", "in 1/exponent the rise of the stiffness grows by the factor e", "exponent"
-)
+_EXPONENT: Final = searched("exponent", "1/rad", "in 1/exponent the rise of stiffness grows e-fold", "exponent")
 _POWERS: Final = ("cubic", "quintic", "hardening")
 _REASON: Final = "an exponential has all powers of the deflection, and begins with hardening or progressive"
 
@@ -259,6 +268,7 @@ EXPONENTIAL: Final = Term(
     deviation=_cubed,
     excludes=_POWERS,
     reason=_REASON,
+    example="Kh 5, 20, 80 % of torque; exponent 4 1/rad",
     equation="2*Kh*sign(x)*(exp(u) - 1 - u)/exponent^2, u = exponent*|x|",
 )
 
@@ -274,6 +284,7 @@ TOE: Final = Term(
     needs="offset",
     excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,
+    example="Kp 5, 20, 80 % of torque; exponent 4 1/rad",
     equation="2*Kp*(exp(u) - 1 - u)/exponent^2, u = exponent*x",
 )
 
@@ -290,8 +301,9 @@ SOFTENING: Final = Term(
         "a stiffness that changes during the recording",
         "try --model {softening}, or record for longer at one temperature",
     ),
+    example="Ks 2, 10, 30 % of torque",
     equation="Ks*(t - tm)*x, tm: the middle of the recording",
 )
 
-MAXWELL: Final = _branch(1, "")
-MAXWELL2: Final = _branch(2, "maxwell")
+MAXWELL: Final = _branch(1, "", "K1 5, 20, 100 % of torque; tau1 0.02 s")
+MAXWELL2: Final = _branch(2, "maxwell", "K2 5, 20, 100 % of torque; tau2 0.3 s")

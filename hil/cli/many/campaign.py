@@ -1,4 +1,4 @@
-"""`hil campaign`: record, identify and report many joints with several profiles and repeats."""
+"""`hil campaign` and `hil hand`: record, identify and report many joints one after the other."""
 
 from __future__ import annotations
 
@@ -27,31 +27,55 @@ if TYPE_CHECKING:
     from hil.campaign.journal import Journal
     from hil.campaign.plan import Plan
 
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would be recorded, with durations.")]
+Model = Annotated[str | None, typer.Option(help="Instead of the plan's model; a plan cannot name FILE.py:NAME.")]
+
 
 def campaign(
     plan: Annotated[Path, typer.Argument(help="The plan (TOML): joints, profiles, pretensions and repeats.")],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show what would be recorded, with durations.")] = False,
+    dry_run: DryRun = False,
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: joints and pretensions are set by someone else.")] = (
         False
     ),
-    model: Annotated[
-        str | None, typer.Option(help="Instead of the plan's model; a plan cannot name FILE.py:NAME.")
-    ] = None,
+    model: Model = None,
     workers: options.Workers = options.ALL_CORES,
     as_json: options.Json = False,
 ) -> None:
     """Record many joints one after the other, identify all, and write one report.
 
     After an interruption or a failure, the same command resumes and repeats nothing. If a joint fails, the failure is
-    noted and the next joint follows. Exit status 1: a recording has no result. Ctrl-C ends recording and campaign.
+    noted and the next joint follows. Exit status 1: a recording has no result, or a joint no Kc or Bc. Ctrl-C ends all.
     """
+    from hil.campaign.plan import load
+
+    _conducted(load(plan, model), dry_run=dry_run, yes=yes, workers=workers, as_json=as_json)
+
+
+def hand(
+    hand: Annotated[Path, typer.Argument(help="The file of the hand (TOML): what its joints share, and each joint.")],
+    dry_run: DryRun = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: all joints are locked.")] = False,
+    model: Model = None,
+    workers: options.Workers = options.ALL_CORES,
+    as_json: options.Json = False,
+) -> None:
+    """Record every joint of a hand, identify all, and write one table, hand.json and a report.
+
+    Before each joint you are asked to lock it. After an interruption or a failure, the same command resumes and repeats
+    nothing. If a joint fails, the failure is noted and the next joint follows. Exit status 1: a recording has no
+    result, or a joint no Kc or Bc. Ctrl-C ends all.
+    """
+    from hil.campaign.plan import of_hand
+
+    _conducted(of_hand(hand, model), dry_run=dry_run, yes=yes, workers=workers, as_json=as_json)
+
+
+def _conducted(loaded: Plan, *, dry_run: bool, yes: bool, workers: int, as_json: bool) -> None:
     from hil.campaign import conduct, page
     from hil.campaign.journal import Journal
-    from hil.campaign.plan import load
     from hil.campaign.results import results
     from hil.report.formatting import plain_table
 
-    loaded = load(plan, model)
     journal = Journal(loaded)
     if dry_run:
         _show_plan(loaded, journal)
@@ -71,7 +95,7 @@ def campaign(
         headings, *rows = page.table(found)
         out(page.verdict(found))
         out_table(plain_table(loaded.settings.name, headings, rows))
-    note(f"wrote {page.write_page(loaded, found, loaded.folder / 'report.html', command_line())}")
+    note(f"wrote {page.write_results(loaded, found, command_line())}")
     print_diagnostics(page.diagnostics(found))
     if not found.complete:
         raise typer.Exit(UNTRUSTWORTHY)
@@ -79,7 +103,8 @@ def campaign(
 
 def _show_plan(plan: Plan, journal: Journal) -> None:
     due = [run for run in plan.runs if not journal.is_done(run)]
-    out(f"{len(due)} of {len(plan.runs)} recordings to make; all together take {plan.seconds / 60.0:.1f} minutes")
+    minutes = plan.seconds(plan.runs) / 60.0
+    out(f"{len(due)} of {len(plan.runs)} recordings to make; all together take {minutes:.1f} minutes")
     for run in plan.runs:
         state = "to do" if run in due else "done"
         out(f"{state:6} {run.profile.duration:6g} s  {run.path}" + (f"  first: {run.asks}" if run.asks else ""))

@@ -36,14 +36,12 @@ def hysteresis(
 ) -> None:
     """Measure stiffness, lost motion, hysteresis, play and loss of slow torsion tests. Bc cannot come from them."""
     from hil.api.hysteresis import hysteresis as measure
-    from hil.recording.output import check_output
-    from hil.report.loops.hysteresis import NO_DAMPING, tables
-    from hil.report.pictures.files import make_picture_folder, save_picture
+    from hil.report.loops.hysteresis import marked, notes, tables
+    from hil.report.pictures.files import check_pictures, save_picture
 
     options.check_report(report, runs, force=force)
     if plot is not None:
-        make_picture_folder(plot)
-        check_output(plot / "hysteresis.png", force=force)
+        check_pictures(plot, ["hysteresis.png"], force=force)
     found = measure(
         runs,
         rated=rated,
@@ -60,7 +58,8 @@ def hysteresis(
         out(str(found))
         for table in tables(found.measures):
             out_table(table)
-        detail(NO_DAMPING)
+        for line in [*marked(found.measures), *notes(found.torque_scale)]:
+            detail(line)
     if report is not None:
         note(f"wrote {found.report(report, command_line(), force=force)}")
     if plot is not None:

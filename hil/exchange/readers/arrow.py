@@ -12,7 +12,7 @@ from hil.errors import WrongUse
 from hil.exchange.nested import columns
 from hil.exchange.readers.columns import Columns, loaded, titled
 
-_PARQUET = b"PAR1"
+_PARQUET, _ARROW, _FEATHER = b"PAR1", b"ARROW1"[:4], b"FEA1"
 _LOOKED = 1000  # rows that show which values lie in a column
 
 
@@ -34,13 +34,13 @@ def read(source: Path) -> Columns:
     import pyarrow.parquet
 
     with source.open("rb") as file:
-        is_parquet = file.read(4) == _PARQUET
+        magic = file.read(4)
     load: Callable[[list[str]], Any]
-    if is_parquet:
+    if magic == _PARQUET:
         opened = pyarrow.parquet.ParquetFile(source)  # a data set would start threads, whose memory counts
         schema, load = opened.schema_arrow, partial(opened.read, use_threads=False)
     else:
-        table = pyarrow.ipc.open_file(source).read_all()
+        table = _arrow(source, magic)
         schema, load = table.schema, table.select
     nested = [one.name for one in schema if pyarrow.types.is_nested(one.type)]
     flat = {titled(one.name, _unit(one)): partial(_values, load, one.name) for one in schema if one.name not in nested}
@@ -51,6 +51,18 @@ def read(source: Path) -> Columns:
 
     names = inner(_LOOKED) if nested else {}
     return flat | {name: partial(lambda name: inner(None)[name](), name) for name in names}
+
+
+def _arrow(source: Path, magic: bytes) -> Any:
+    """Return the table in a file of Arrow, of Feather 1, or of a stream, of which the end may be missing."""
+    import pyarrow.feather
+    import pyarrow.ipc
+
+    if magic == _FEATHER:
+        return pyarrow.feather.read_table(source, use_threads=False)
+    if magic == _ARROW:
+        return pyarrow.ipc.open_file(source).read_all()
+    return pyarrow.ipc.open_stream(source).read_all()
 
 
 def _unit(field: Any) -> Mapping[Any, Any]:

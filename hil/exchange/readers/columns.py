@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.exchange.nested import Names
+from hil.recording.interval import seconds
 
 Array = NDArray[np.float64]
 Index = tuple[int | slice, ...]
@@ -23,6 +24,7 @@ Columns = Mapping[str, Callable[[], Any]]
 MOST = 256
 """The largest number of columns that are read of one matrix."""
 _UNIT_KEYS = ("units", "unit", "Units", "Unit", "unit_string")
+_EMPTY = (None, "")
 _SECOND = np.timedelta64(1, "s")
 
 
@@ -71,11 +73,35 @@ def loaded(named: Mapping[str, Any]) -> Columns:
     return {name: partial(np.asarray, values) for name, values in named.items()}
 
 
-def numbers(values: Any) -> Array | None:
-    """Return a column (n,) as numbers, dates and times in s; None if it holds anything else."""
+def numbers(values: Any) -> tuple[Array | None, bool]:
+    """Return a column (n,) as numbers, dates and times in s, None if it holds anything else; and whether its texts are
+    dates or times of day.
+    """
     found = np.asarray(values)
     if found.dtype.kind == "M":
         found = found - np.datetime64(0, "s")
     if found.dtype.kind == "m":
-        return np.asarray(found / _SECOND, dtype=np.float64)
-    return np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None
+        return np.asarray(found / _SECOND, dtype=np.float64), False
+    if found.dtype.kind in "USO":
+        return _of_texts(found)
+    return (np.asarray(found, dtype=np.float64) if found.dtype.kind in "fiub" else None), False
+
+
+def _of_texts(values: NDArray[Any]) -> tuple[Array | None, bool]:
+    """Return the numbers that the texts (n,) state, dates and times in s; and whether they are dates or times."""
+    texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in values.tolist()]
+    first = next((one for one in texts if one not in _EMPTY), None)
+    if not isinstance(first, str):
+        return None, False
+    is_stamp = seconds(first) is not None
+    try:
+        read = [math.nan if one in _EMPTY else seconds(one) if is_stamp else _number(one) for one in texts]
+        return np.array(read, dtype=np.float64), is_stamp
+    except (TypeError, ValueError):
+        return None, False
+
+
+def _number(text: str) -> float:
+    if "_" in text:
+        raise ValueError(text)
+    return float(text)

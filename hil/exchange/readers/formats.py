@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
@@ -13,6 +12,7 @@ from typing import Any, NamedTuple
 
 from hil.errors import WrongUse
 from hil.exchange.readers.columns import Columns
+from hil.printable import quoted
 from hil.recording.input import bounded, open_input
 
 _LARGEST = 1 << 36  # bytes of a file
@@ -38,9 +38,14 @@ class _Format(NamedTuple):
     both: bool = False
 
 
-_ARROW, _BOOKS = (".parquet", ".pq", ".feather", ".arrow"), (".xlsx", ".xlsm", ".xlsb", ".ods", ".xls")
+_ARROW, _BOOKS = (
+    (".parquet", ".pq", ".feather", ".arrow", ".arrows", ".ipc"),
+    (".xlsx", ".xlsm", ".xlsb", ".ods", ".xls"),
+)
 _READ = (
-    _Format("Parquet or Arrow", "arrow", (b"PAR1", b"ARROW1"), _ARROW, ("pyarrow", "parquet")),
+    _Format(
+        "Parquet or Arrow", "arrow", (b"PAR1", b"ARROW1", b"FEA1", b"\xff\xff\xff\xff"), _ARROW, ("pyarrow", "parquet")
+    ),
     _Format("TDMS", "tdms", (b"TDSm",), (".tdms",), ("nptdms", "tdms")),
     _Format("NumPy", "arrays", (b"\x93NUMPY",), (".npy", ".npz")),
     _Format("NumPy", "arrays", (_ZIP,), (".npz",), both=True),
@@ -51,14 +56,11 @@ _READ = (
 )
 """What hil reads, besides text and bags."""
 
-_FRAMES = r"\A(LOGG|date \w+ \w+ \d+| ?\(\d+\.\d+\) +\S+ +[\da-f]+(#| +\[))"
-_PACKED = r"\A(PK\x03\x04|7z\xbc\xaf|Rar!|\x28\xb5\x2f\xfd|BZh|\xfd7zXZ)"
-_LABELLED = r"(?:[\d:.]+ -> )?(?:[a-z_]\w* ?[:=] ?[-+]?\d[\d.e+-]*(?: ?[a-z/*]+)?(?:[,;\t ]+|\r?\n)){2,}"
-_MONITOR = "the text of a serial monitor, with a label beside each number"
-_UNLABEL = (
-    "remove the labels, sed -E 's/^.* -> //; s/[A-Za-z_]+ ?[:=] ?//g' FILE > log.csv, and write a line with the names "
-    "and units of the columns above the numbers"
+_FRAMES = (
+    r"\A(LOGG|date \w+ \w+ \d+| ?\(\d+\.\d+\) +\S+ +[\da-f]+(#| +\[)|"
+    r"[^\n]*\b(dlc|can[ _]?id|arbitration[ _]?id)\b[^\n]*\bdata[^\n]*\n[^\n]*([\da-f]{2}[ ,]){3})"
 )
+_PACKED = r"\A(PK\x03\x04|7z\xbc\xaf|Rar!|\x28\xb5\x2f\xfd|BZh|\xfd7zXZ)"
 _NEVER = "loading it can run any program, so hil never does; save the table in it as CSV or Parquet"
 _CONVERTED = (
     ("a WPILib log", r"\AWPILOG", (".wpilog",), "export it as CSV with AdvantageScope, File > Export Data"),
@@ -70,7 +72,6 @@ _CONVERTED = (
     ("a ROS 1 bag that was not closed", r"(?!)", (".bag.active",), "complete it: rosbag reindex FILE"),
     ("a pointer of Git LFS and not the file itself", r"\Aversion https://git-lfs", (), "fetch the file: git lfs pull"),
     ("a web page", r"\A\s*<(!doctype html|html)", (".html",), "save the table in it as CSV"),
-    (_MONITOR, rf"(?m)^{_LABELLED}{_LABELLED}", (), _UNLABEL),
     ("an archive", _PACKED, (".zip", ".tar", ".tgz", ".zst"), "unpack it, and import the file in it"),
 )
 """What hil does not read: kind, pattern of its beginning (as Latin-1), ends of its name, and how to convert it."""
@@ -91,7 +92,7 @@ def kind_of(source: Path) -> str:
         return form.reader
     for what, pattern, suffixes, how in _CONVERTED:
         if re.search(pattern, beginning.decode("latin-1"), re.IGNORECASE) or name.endswith(suffixes):
-            how_to = how.replace("FILE", shlex.quote(str(source)))
+            how_to = how.replace("FILE", quoted(source))
             raise WrongUse(f"{source} is {what}, which hil does not read: {how_to}")
     return TEXT
 

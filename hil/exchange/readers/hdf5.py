@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ from hil.errors import WrongUse
 from hil.exchange.nested import Names, names_of
 from hil.exchange.readers.columns import MOST, Columns, of_matrix, titled
 from hil.exchange.readers.matlab import no_numbers
+from hil.printable import quoted
 
 _NUMBERS = ("double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)))
+_BLOCK = re.compile(r"((?:.*/)?)(block\d+|axis\d)_?(values|items|)")
 _PACKING = ("_FillValue", "scale_factor", "add_offset")
 
 
@@ -25,9 +28,17 @@ def read(source: Path) -> Columns:
     The file stays open, and each column is read when it is used. Raises WrongUse for a recording of hil, and for a file
     of MATLAB's that holds objects only.
     """
-    file = h5py.File(source)
+    try:
+        file = h5py.File(source)
+    except OSError as error:
+        if not any(one in str(error) for one in ("truncated", "already open", "flags")):
+            raise
+        raise WrongUse(
+            f"{source} was not closed by the program that wrote it, as after a kill or a loss of power ({error}): try "
+            f"h5clear -s --increment {quoted(source)} on a copy, or use the logger's other file"
+        ) from None
     if {"samples", "profile"} <= set(file):
-        raise WrongUse(f"{source} is a recording of hil, which needs no import: hil identify {source}")
+        raise WrongUse(f"{source} is a recording of hil, which needs no import: hil identify {quoted(source)}")
     items: dict[str, Any] = {}
     file.visititems(lambda path, item: items.update({path: item}))
     kinds = {
@@ -35,7 +46,9 @@ def read(source: Path) -> Columns:
     }  # not what only MATLAB names
     matlab, found = any(kinds.values()), dict[str, Callable[[], Any]]()
     for path, kind in kinds.items():
-        if isinstance(items[path], h5py.Dataset) and kind in {"", "cell", *_NUMBERS}:
+        if (block := _BLOCK.fullmatch(path)) and f"{block[1]}axis0" in items:  # of a data frame of pandas
+            found |= _of_block(source, items, block)
+        elif isinstance(items[path], h5py.Dataset) and kind in {"", "cell", *_NUMBERS}:
             beside, attributes = _names_beside(items[path]), dict(items[path].attrs)
             for name, part, field in _parts(file, path.replace("/", ".") if matlab else path, items[path]):
                 shape = part.shape if field is None else part.shape + part.dtype[field].shape
@@ -44,6 +57,17 @@ def read(source: Path) -> Columns:
                     found[titled(column, attributes)] = partial(_values, source, part, field, place)
     objects = {path: kind for path, kind in kinds.items() if kind not in {"", "cell", "char", "struct", *_NUMBERS}}
     return found | no_numbers(source, objects, alone=not found)
+
+
+def _of_block(source: Path, items: Mapping[str, Any], block: re.Match[str]) -> dict[str, Callable[[], Any]]:
+    """Return the columns of a block of a data frame, "run/tau", by the names that stand beside it."""
+    values, named = items[block[0]], items.get(f"{block[1]}{block[2]}_items")
+    if block[3] != "values" or named is None or h5py.check_string_dtype(named.dtype) is None or values.ndim != 2:
+        return {}
+    names = named.asstr(errors="replace")[()].tolist()[: values.shape[1]]
+    return {
+        f"{block[1]}{name}": partial(_values, source, values, None, (slice(None), at)) for at, name in enumerate(names)
+    }
 
 
 def _names_beside(item: h5py.Dataset) -> Names:

@@ -62,6 +62,8 @@ def _parts(name: str, value: Any, objects: dict[str, str]) -> Iterator[tuple[str
         objects[_text(own)] = _text(kind)
     elif isinstance(value, MatlabObject | MatlabFunction):
         objects[name] = getattr(value, "classname", "function_handle")
+    elif value.dtype.names is not None and value.size > 1 and (rows := _rows(value)):
+        yield from ((f"{name}.{field}", column) for field, column in rows.items())
     elif value.dtype.names is not None:
         for number, element in enumerate(value.ravel(), start=1):
             for field in value.dtype.names:
@@ -71,6 +73,18 @@ def _parts(name: str, value: Any, objects: dict[str, str]) -> Iterator[tuple[str
             yield from _parts(f"{name}{{{number}}}", element, objects)
     elif value.dtype.kind in "fiub" or (value.dtype.kind == "U" and value.size > 1):
         yield name, value
+
+
+def _rows(value: Any) -> dict[str, Any]:
+    """Return the fields of an array of structs as columns (n,), if each struct is a row of single numbers; else {}."""
+    found = {}
+    for field in value.dtype.names:
+        cells = [np.asarray(one) for one in value.ravel(order="F")[field]]
+        if any(one.size != 1 for one in cells):
+            return {}
+        if all(one.dtype.kind in "fiub" for one in cells):
+            found[field] = np.array([one.item() for one in cells], dtype=np.float64)
+    return found
 
 
 def _text(item: Any) -> str:

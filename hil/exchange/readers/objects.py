@@ -37,6 +37,8 @@ def read(source: Path) -> Columns:
 
 def _of_document(name: str, value: Any, beside: Any = None) -> dict[str, Any]:
     """Return the columns in one JSON value: a list of numbers is a column, a list of objects or lists a table."""
+    if isinstance(value, dict) and len(value) > 1 and all(map(str.isdecimal, value)):  # rows of a data frame by number
+        value = [*value.values()]
     if isinstance(value, dict):
         names = {**(beside or {}), **names_of(value.values())}
         inner = {f"{name}.{key}" if name else key: item for key, item in value.items()}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import chain, islice
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,19 +17,24 @@ import numpy as np
 from hil.errors import WrongUse
 from hil.exchange import headings
 from hil.exchange.text.cells import clock, is_missing, is_number
+from hil.exchange.text.monitor import Monitor, monitor
 
 if TYPE_CHECKING:
     from _csv import Reader
 
 _TOP = 1000  # lines that are searched for the headings
+_PREAMBLE = 3  # lines at least of one beside the rows
 _HEADING = 10  # lines that quoted headings may take
 _DELIMITERS = (";", "\t", "|", ",", " ")
 _EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
 COMMENT = re.compile(r"^\s*(?:#+|%+|//+|!+)\s*")
-_SERIAL = re.compile(r"^(\d{1,2}:\d{2}:\d{2}[.,]\d+) -> ")  # the stamp of Arduino's serial monitor
-_UNITS = re.compile(r"[\W_]*(?:\w_)?(?:units?|einheit(?:en)?|unités?|unidad(?:es)?)(?:_label)?\b *:?", re.IGNORECASE)
+_UNITS = re.compile(
+    r"[\W_]*(?:\w_|[hvxy])?(?:units?|einheit(?:en)?|unités?|unidad(?:es)?)(?:_label)?\b\"? *:?", re.IGNORECASE
+)
+_OF_TIME = re.compile(r"[\W_]*[hx]_?unit", re.IGNORECASE)  # of the horizontal axis of an oscilloscope
 _NO_UNIT = frozenset({"", "-", "--", "1", "n/a"})
 _OTHER_UNITS = frozenset("% counts count cnt ticks lsb raw bits N kN mN lbf kgf Pa kPa MPa GPa bar W J".split())  # noqa: SIM905
+_LISTS = re.compile(r"[\[(]\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[\s,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*[\])]")
 _USUAL = 0.8  # share of the rows that have a number in a column
 
 
@@ -38,7 +43,8 @@ class Layout(NamedTuple):
 
     names: headings. delimiter: between the cells. above: number of lines above the first row. fields: usual number of
     cells in a row. clocks: indices of columns with dates or times of day. heads: cells of the lines that stand above
-    the rows, and may stand between them again. stamped: whether a serial monitor wrote its stamp before each line.
+    the rows, and may stand between them again. monitor: what a serial monitor wrote into each line. top: the lines
+    above the rows. labels: the texts in columns that hold a few texts again and again.
     """
 
     names: list[str]
@@ -47,17 +53,17 @@ class Layout(NamedTuple):
     fields: int
     clocks: frozenset[int]
     heads: frozenset[tuple[str, ...]]
-    stamped: bool
+    monitor: Monitor
+    top: tuple[str, ...]
+    labels: Mapping[str, frozenset[str]]
 
     def reader(self, lines: Iterable[str]) -> Reader:
         """Return the rows in the lines, with the stamp of a serial monitor as the first cell."""
-        if self.stamped:
-            lines = (_SERIAL.sub(rf"\1{self.delimiter}", line) for line in lines)
-        return _reader(lines, self.delimiter)
+        return _reader(self.monitor.plain(lines, self.delimiter) if any(self.monitor) else lines, self.delimiter)
 
 
-def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple[Layout, Iterator[str]]:
-    """Return the layout of the table in the lines, and the lines from the first row on.
+def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> Layout:
+    """Return the layout of the table in the lines.
 
     wanted: names of columns, which the line of headings must contain. Raises WrongUse for a table without headings, or
     without rows.
@@ -66,26 +72,49 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> tuple
     longest = csv.field_size_limit()
     if any(len(line) > longest for line in top[:1]):
         raise WrongUse(f"{source}, row 1: a field is longer than {longest} characters: check that the file is CSV")
-    stamped = any(map(_SERIAL.match, top))
-    plain = [_SERIAL.sub("", line) for line in top]
+    shown, plain, said = monitor(top)
+    if shown.labels:
+        plain = list(Monitor(stamped=False, labels=shown.labels).plain(plain, ","))
     delimiter, fields, rows = _rows(plain)
     if not rows:
+        _refuse_lists(source, plain)
         raise WrongUse(
             f"{source} has no rows: none of its lines has two cells that are numbers: write units in the headings "
             "only, and numbers in the cells"
         )
-    first, names, at = _headings(source, plain, (delimiter, fields, rows), wanted)
-    below = [split_line(COMMENT.sub("", line), delimiter) for line in plain[at + 1 : first] if line.strip()]
-    labelled = [_unlabelled(line, delimiter, len(names)) for line in plain[:first] if _UNITS.match(line)]
-    for cells in (*below, *labelled):
-        names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
-    row = split_line(plain[first], delimiter)
-    if stamped:
-        names, row, fields = ["received", *names], [top[first].partition(" -> ")[0], *row], fields + 1
+    if shown.labels:
+        first, names, at = rows[0], [_with_unit(one, said.get(one, "")) for one in shown.labels], rows[0]
+    elif beside := _beside(plain, delimiter, fields):
+        first, names, at = 0, beside, 0
+    else:
+        first, names, at = _headings(source, plain, (delimiter, fields, rows), wanted)
+        names = _with_group(plain[:at], delimiter, names)
+        beneath = [line for line in plain[at + 1 : first] if line.strip() and not _UNITS.match(line)]
+        below = [split_line(COMMENT.sub("", line), delimiter) for line in beneath]
+        labelled = [
+            _unlabelled(line, delimiter, len(names))
+            for line in plain[:first]
+            if _UNITS.match(line) and not _OF_TIME.match(line)
+        ]
+        for cells in (*below, *labelled):
+            names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
+    heads = frozenset(tuple(split_line(line, delimiter)) for line in plain[at:first] if line.strip())
+    row = split_line(next(shown.plain([top[first]], delimiter)), delimiter)
+    if shown.stamped:
+        names, fields = ["received", *names], fields + 1
+    texts = {} if shown.stamped else _labels(names, [split_line(plain[place], delimiter) for place in rows])
     clocks = frozenset(place for place, cell in enumerate(row[: len(names)]) if clock(cell) is not None)
     names = [f"{name} [s]" if place in clocks else name for place, name in enumerate(names)]
-    heads = frozenset(tuple(split_line(line, delimiter)) for line in plain[at:first] if line.strip())
-    return Layout(names, delimiter, first, fields, clocks, heads, stamped), chain(top[first:], lines)
+    return Layout(names, delimiter, first, fields, clocks, heads, shown, tuple(plain[:first]), texts)
+
+
+def _refuse_lists(source: Path, lines: Sequence[str]) -> None:
+    found = [match[0] for match in map(_LISTS.search, lines) if match]
+    if len(found) > _USUAL * len(lines):
+        raise WrongUse(
+            f"{source} holds lists in its cells, such as {found[0]}, whose order no heading names: write each number "
+            "of a list into a column, with a heading such as q0 [rad]"
+        )
 
 
 def _whole(lines: list[str]) -> list[str]:
@@ -121,6 +150,56 @@ def _rows(lines: Sequence[str]) -> tuple[str, int, list[int]]:
     return *shape, [at for at, row in zip(rows, filled, strict=True) if row[usual].all()]
 
 
+def _labels(names: Sequence[str], rows: Sequence[Sequence[str]]) -> dict[str, frozenset[str]]:
+    found = {}
+    for at, name in enumerate(names):
+        texts = [row[at] for row in rows if at < len(row)]
+        if len(set(texts)) <= len(texts) // 2 and not any(map(_is_reading, set(texts))) and any(texts):
+            found[name] = frozenset(texts)
+    return found
+
+
+def _beside(lines: Sequence[str], delimiter: str, fields: int) -> list[str]:
+    """Return the names of the columns where the preamble of an oscilloscope stands beside the first rows; [] elsewhere.
+
+    The first column of numbers is the time; the others have the name of the source, and then its next numbers.
+    """
+    cells = [split_line(line, delimiter) for line in lines[:_TOP] if line.strip()]
+    if delimiter == " " or len(cells) < _PREAMBLE or any(len(row) != fields for row in cells):
+        return []
+    full = [all(is_number(row[at]) for row in cells) for at in range(fields)]
+    first = full.index(True) if True in full else fields
+    said = {" ".join(row[:1]).lower(): row[1:first] for row in cells[:_HEADING] if row[0] and not is_number(row[0])}
+    if not 1 < first < fields - 1 or len(said) < _PREAMBLE or any(row[0] for row in cells[-_PREAMBLE:]):
+        return []
+    stated = {key: next(filter(None, values), "") for key, values in said.items()}
+    source = re.fullmatch(r"(.*?)(\d*)", stated.get("source") or "CH1")
+    start = int(source[2] or 1) if source else 1
+    channels = [f"{source[1] if source else 'CH'}{start + at}" for at in range(fields - first - 1)]
+    time = _with_unit("time", stated.get("horizontal units", ""))
+    read = [time, *(_with_unit(one, stated.get("vertical units", "")) for one in channels)]
+    return [f"preamble {at}" for at in range(first)] + [
+        one if ok else "" for one, ok in zip(read, full[first:], strict=True)
+    ]
+
+
+def _with_group(above: Sequence[str], delimiter: str, names: list[str]) -> list[str]:
+    """Return names that repeat with the cells of the line above them, each of which stands for the empty ones after it:
+    "Motor" above "angle" gives "Motor angle". A column without a name has that of the line above.
+    """
+    cells = split_line(COMMENT.sub("", next((line for line in reversed(above) if line.strip()), "")), delimiter)
+    if len(cells) == len(names) and _are_names(cells):
+        names = [name or cell for name, cell in zip(names, cells, strict=True)]
+    filled = [name for name in names if name]
+    if len(set(filled)) == len(filled) or not 1 < len(cells) <= len(names) or any(map(is_number, cells)):
+        return names
+    groups = [""]
+    for cell in cells + [""] * (len(names) - len(cells)):
+        groups.append(cell or groups[-1])
+    joined = [f"{group} {name}".strip() for group, name in zip(groups[1:], names, strict=True)]
+    return joined if len(set(joined)) == len(joined) else names
+
+
 def _is_reading(cell: str) -> bool:
     return is_number(cell) or clock(cell) is not None
 
@@ -147,7 +226,8 @@ def _headings(
         for names, fits, mark in _splits(lines[at], delimiter, fields):
             has = bool(wanted) and (fits or mark.strip(" ") != "") and _has(names, wanted)
             if has or fits or (is_above and len(names) > 1):
-                choices.append(((not has, not fits, fits and any(_units(names, len(names)))), at, names, fits))
+                is_units = any(_units(names, len(names)))
+                choices.append(((not has, not fits, is_units, any(map(is_number, names))), at, names, fits))
     _, at, names, fits = min(choices, key=itemgetter(0), default=(None, len(lines), [], False))
     first = next((row for row in rows if row > at), None)
     if first is None:
@@ -159,7 +239,7 @@ def _headings(
 
 
 def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[str], bool, str]]:
-    """Yield each way to split a line into names, none of them a number: the names, whether there are `fields` names,
+    """Yield each way to split a line into names: the names, whether there are `fields` names,
     and the delimiter.
 
     Names beyond `fields` are dropped, because some loggers name a column "Comment" and do not fill it. A line with more
@@ -170,9 +250,16 @@ def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[s
         for one in dict.fromkeys((delimiter or max(_DELIMITERS, key=text.count), *_DELIMITERS)):
             for names in _names(text, one):
                 filled = len(names) - next((at for at, name in enumerate(reversed(names)) if name), len(names))
-                if filled and not any(map(is_number, names)) and (one in text.strip() or not delimiter):
+                if filled and _are_names(names) and (one in text.strip() or not delimiter):
                     extra = one not in {" ", ""} and one == delimiter and filled > fields
                     yield names, len(names) == fields or filled == fields or extra, one
+
+
+def _are_names(cells: Sequence[str]) -> bool:
+    """Return whether no cell is a number, except for those of channels, such as 1 and 2, beside a name."""
+    numbers = [cell for cell in cells if is_number(cell)]
+    are_channels = len(set(numbers)) == len(numbers) and all(re.fullmatch(r"\d{1,2}", cell) for cell in numbers)
+    return not numbers or (are_channels and any(cell and not is_number(cell) for cell in cells))
 
 
 def _names(text: str, delimiter: str) -> Iterator[list[str]]:

@@ -10,8 +10,8 @@ import zlib
 from array import array
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from io import BufferedReader, TextIOWrapper
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from hil.errors import WrongUse
 from hil.exchange.readers import formats, workbook
 from hil.exchange.row_filter import RowFilter
+from hil.exchange.text import plain
 from hil.exchange.text.cells import Cells, NotANumber
 from hil.exchange.text.layout import COMMENT, Layout, layout
 from hil.recording.input import open_input
@@ -33,6 +34,7 @@ Rows = NDArray[np.int64]
 
 _LARGEST = 1 << 36  # bytes of a file, which is read row by row
 _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
+_BLOCK = 1 << 22  # characters that are parsed at a time
 _LOST = 0.01  # share of the rows that may be damaged: more mean that the table is not understood
 _READING = re.compile(r"[-+.]?\d")  # the begin of a number, whole or not
 _SNIFFED = 1 << 12  # bytes that show the encoding
@@ -52,16 +54,17 @@ class Read(NamedTuple):
     lost: list[str]
 
 
-def titles(source: Path, wanted: Collection[str] = (), sheet: str | None = None) -> list[str]:
-    """Return the headings of the table, in order. wanted: names by which the line of headings is found. sheet: the name
-    of the sheet, if the file is a workbook. Raises WrongUse for a file that is no text.
+def form(source: Path, wanted: Collection[str] = (), sheet: str | None = None) -> Layout:
+    """Return the layout of the table. wanted: names by which the line of headings is found. sheet: the name of the
+    sheet, if the file is a workbook. Raises WrongUse for a file that is no text.
     """
     with _open(source, wanted, sheet, _Damage()) as lines:
-        return layout(source, lines, wanted)[0].names
+        return layout(source, lines, wanted)
 
 
 def read(
     source: Path,
+    form: Layout,
     asked: Collection[str],
     wanted: Sequence[int],
     filters: Sequence[tuple[int, RowFilter]],
@@ -71,16 +74,18 @@ def read(
 ) -> Read:
     """Return the columns `wanted` (indices) of the rows that pass every filter.
 
-    asked: names that the line of headings has. sheet: of a workbook. mark: the decimal mark if a number may have
+    form: the layout. asked, sheet: the arguments with which it was found. mark: the decimal mark if a number may have
     either. In a row that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be
     cut off, and 1 % of the others damaged. Raises WrongUse with the row that is wrong.
     """
+    if mark == "." and (found := _plain(source, form, asked, wanted, filters)) is not None:
+        return found
     kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
     behind = max((*wanted, *(at for at, _ in filters)), default=0)
     with _open(source, asked, sheet, damage) as lines:
-        form, rest = layout(source, lines, asked)
+        _skip(lines, form.above)
         cells = Cells(form.names, form.clocks, mark)
-        reader = form.reader(_without_nul(rest, form.above, damage))
+        reader = form.reader(_without_nul(lines, form.above, damage))
         for row in _rows(source, reader, form.above):
             if not row:
                 continue
@@ -98,9 +103,31 @@ def read(
             except NotANumber as error:
                 damage.note(source, last, str(error), form, row)
         if (other := cells.other_mark(source)) is not None:
-            return read(source, asked, wanted, filters, sheet=sheet, mark=other)
+            return read(source, form, asked, wanted, filters, sheet=sheet, mark=other)
     table = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
     return Read(table, np.array(places, dtype=np.int64), damage.report(source, len(places), last))
+
+
+def _skip(lines: Iterator[str], count: int) -> None:
+    next(islice(lines, count, count), None)
+
+
+def _plain(
+    source: Path,
+    form: Layout,
+    asked: Collection[str],
+    wanted: Sequence[int],
+    filters: Sequence[tuple[int, RowFilter]],
+) -> Read | None:
+    """Return the columns `wanted` of a text that holds nothing but numbers, None of any other file."""
+    if formats.kind_of(source) == formats.WORKBOOK:
+        return None
+    with _open(source, asked, None, damage := _Damage()) as lines:
+        if not isinstance(lines, _Lines):
+            return None
+        _skip(lines, form.above)
+        found = plain.numbers(form, lines.block, wanted, filters)
+    return None if found is None or damage.cut_off else Read(*found, [])
 
 
 def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
@@ -184,14 +211,16 @@ def _without_nul(lines: Iterator[str], above: int, damage: _Damage) -> Iterator[
 
 
 @contextmanager
-def _open(source: Path, wanted: Collection[str], sheet: str | None, damage: _Damage) -> Iterator[Iterator[str]]:
+def _open(
+    source: Path, wanted: Collection[str], sheet: str | None, damage: _Damage
+) -> Iterator[Iterator[str] | _Lines]:
     """Yield an iterator over the lines of a text, or of a sheet of a workbook."""
     if formats.kind_of(source) == formats.WORKBOOK:
         yield iter(workbook.lines(source, sheet))
         return
     try:
         with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source, wanted), "replace", newline="") as text:
-            yield _until_cut_off(text, damage)
+            yield _Lines(text, damage)
     except (gzip.BadGzipFile, EOFError, zlib.error):
         raise WrongUse(f"{source} cannot be read (it is no gzip file, or is damaged): check the name") from None
     except OSError as error:
@@ -199,16 +228,37 @@ def _open(source: Path, wanted: Collection[str], sheet: str | None, damage: _Dam
         raise WrongUse(f"{source} cannot be read ({reason}): check the name, and that it is CSV or .csv.gz") from None
 
 
-def _until_cut_off(text: TextIO, damage: _Damage) -> Iterator[str]:
-    """Yield the lines of a file. If a compressed file ends before its end mark, stop there and note it in `damage`."""
-    line = ""
-    try:
-        for line in iter(partial(text.readline, _LONGEST), ""):
-            yield line
-    except EOFError:
+class _Lines:
+    """The lines of a text. If a compressed file ends before its end mark, they end there, and `damage` says so."""
+
+    def __init__(self, text: TextIO, damage: _Damage) -> None:
+        self._text, self._damage, self._is_begun = text, damage, False
+
+    def __iter__(self) -> _Lines:
+        return self
+
+    def __next__(self) -> str:
+        try:
+            line = self._text.readline(_LONGEST)
+        except EOFError:
+            line = self._ended()
         if not line:
-            raise
-        damage.cut_off = True
+            raise StopIteration
+        self._is_begun = True
+        return line
+
+    def block(self) -> str:
+        """Return some whole lines, "" at the end."""
+        try:
+            return self._text.read(_BLOCK) + self._text.readline(_LONGEST)
+        except EOFError:
+            return self._ended()
+
+    def _ended(self) -> str:
+        if not self._is_begun:
+            raise EOFError
+        self._damage.cut_off = True
+        return ""
 
 
 @contextmanager

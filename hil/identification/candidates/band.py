@@ -46,10 +46,10 @@ class Band:
         motion, highest = signals.motion, _highest(signals)
         clear = seen & signals.smooth
         used = clear if c.CERTAIN_RATES[0] < clear.mean() < c.CERTAIN_RATES[1] else seen
-        first = motion.time[slice(*_pieces(motion)[0])]
+        first = motion.time[motion.pieces[0]]
         low_pass = low_pass_for(first, highest, c.BAND_NEIGHBOURS) if used.all() and len(first) > FEWEST else None
         if low_pass is not None:
-            sound = np.concatenate([_sound(motion.time[a:b], low_pass) for a, b in _pieces(motion)])
+            sound = np.concatenate([_sound(motion.time[piece], low_pass) for piece in motion.pieces])
             every = max(1, int(0.5 / (low_pass.cut * low_pass.step)))
             if np.count_nonzero(sound[::every]) >= c.ROWS_A_WEIGHT:
                 return cls._at(signals, sound, low_pass, every)
@@ -65,7 +65,7 @@ class Band:
         """Return values (k, n) of all samples after the low-pass, at the rows: (k, m)."""
         if self.low_pass is None:
             return np.asarray(values[:, self.rows])
-        parts = [_passed(self.motion.time[a:b], values[:, a:b], self.low_pass) for a, b in _pieces(self.motion)]
+        parts = [_passed(self.motion.time[one], values[:, one], self.low_pass) for one in self.motion.pieces]
         return np.asarray(np.concatenate(parts, axis=1)[:, self.rows])
 
     def whitened(self, values: Array) -> Array:
@@ -108,10 +108,6 @@ def _highest(signals: Signals) -> float:
     smooth = np.convolve(power, np.ones(lines) / lines, "same")
     above = (smooth > c.ABOVE_ERRORS * window.of_deflection**2 * white) & (frequency <= signals.band[1])
     return float(frequency[above][-1]) if above.any() else signals.band[1]
-
-
-def _pieces(motion: Motion) -> list[tuple[int, int]]:
-    return list(zip(motion.starts, [*motion.starts[1:], len(motion)], strict=True))
 
 
 def _sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import CouplingModel
+from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import positive_among
 from ga.model.terms import SMALLEST, TERMS, lacking
 from hil.identification.candidates.band import Band
-from hil.identification.candidates.catalogue import lag_of, model_of
+from hil.identification.candidates.catalogue import model_of
 from hil.identification.candidates.search import Score, odds
 from hil.signals import constants as c
 
@@ -27,15 +27,16 @@ Array = NDArray[np.float64]
 class BandFit:
     """A fit in the band.
 
-    terms: those besides the smallest model's. genes (p,), nonlinear (q,): linear and nonlinear parameters, SI. score:
-    twice the log odds. columns (p + q, m), target (m,): of the problem linearised at the fit, whitened. residuals
-    (rows,): N m, not whitened.
+    terms: those besides the smallest model's. genes (p,), nonlinear (q,): linear and nonlinear parameters, SI. lag:
+    Bc/Kc, s; 0 if the flanks of a gap part at its edge. score: twice the log odds. columns (p + q, m), target (m,): of
+    the problem linearised at the fit, whitened. residuals (rows,): N m, not whitened.
     """
 
     terms: tuple[str, ...]
     model: CouplingModel
     genes: Array
     nonlinear: Array
+    lag: float
     score: float
     columns: Array
     target: Array
@@ -54,13 +55,14 @@ class BandFit:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """The best linear parameters, `genes` (p,), for given nonlinear ones (q,), SI.
+    """The best linear parameters, `genes` (p,), for given nonlinear ones (q,) and Bc/Kc = `lag`, s; SI.
 
     square: the sum of squares of the whitened residuals. whitened (p + 1, m): the columns, then the target. residuals
     (rows,): N m, not whitened.
     """
 
     nonlinear: Array
+    lag: float
     genes: Array
     square: float
     whitened: Array
@@ -109,7 +111,8 @@ class BandFits:
         low, high = model.bounds(self.band.motion, self.band.highest)
         best = self._started(model, values, (low, high))
         if model.needs_ratio:
-            best = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
+            pushing = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
+            best = min(pushing, best, key=lambda solved: solved.square) if model.chooses_edge else pushing
         jacobian = np.empty((0, best.whitened.shape[1]))
         for _ in range(c.NEWTON_STEPS if len(low) else 0):
             jacobian = self._jacobian(model, best)
@@ -122,7 +125,9 @@ class BandFits:
         square = best.square / self.size**2
         columns = np.concatenate([best.whitened[:-1], jacobian])
         score = self._score(square, terms)
-        return BandFit(terms, model, best.genes, best.nonlinear, score, columns, best.whitened[-1], best.residuals)
+        return BandFit(
+            terms, model, best.genes, best.nonlinear, best.lag, score, columns, best.whitened[-1], best.residuals
+        )
 
     def _started(self, model: CouplingModel, values: Mapping[str, float], bounds: tuple[Array, Array]) -> _Solved:
         """Return the best fit of a few starts. A parameter without a given value starts at its absent value, or at the
@@ -150,7 +155,8 @@ class BandFits:
             nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
             if np.array_equal(nonlinear, best.nonlinear):
                 return None
-            tried = self._solved(model, nonlinear, lag_of(*best.genes[:2]))
+            lags = {lag_of(*best.genes[:2]), *([0.0] if model.chooses_edge else [])}
+            tried = min((self._solved(model, nonlinear, lag) for lag in lags), key=lambda solved: solved.square)
             if tried.square < best.square:
                 return tried
         return None
@@ -162,11 +168,11 @@ class BandFits:
         whitened = self.band.whitened(lowered)
         genes = _least_squares(whitened[:-1], whitened[-1], positive_among(model.linear))
         left = whitened[-1] - genes @ whitened[:-1]
-        return _Solved(nonlinear, genes, float(left @ left), whitened, lowered[-1] - genes @ lowered[:-1])
+        return _Solved(nonlinear, lag, genes, float(left @ left), whitened, lowered[-1] - genes @ lowered[:-1])
 
     def _jacobian(self, model: CouplingModel, best: _Solved) -> Array:
         motion, torque = self.band.motion, self.band.torque
-        changed = model.jacobian(motion, best.nonlinear, best.genes, lag_of(*best.genes[:2]), torque)
+        changed = model.jacobian(motion, best.nonlinear, best.genes, best.lag, torque)
         return self.band.whitened(self.band.lowered(np.ascontiguousarray(changed.T)))
 
     def _without(self, fit: BandFit, term: str) -> float:

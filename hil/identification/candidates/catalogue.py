@@ -13,7 +13,7 @@ from itertools import pairwise, product
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import CouplingModel
+from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import Parameter, Term
 from ga.model.terms import SMALLEST, TERMS, canonical
 from ga.model.trajectory import Motion
@@ -87,7 +87,7 @@ class Catalogue:
         for name in self.terms:
             term = TERMS[name]
             if term.delays:
-                at = self._added([-_slope(self._whole, torque)])
+                at = self._added([-self._whole.slope(torque)])
                 self.points.append(Point((name,), {}, at))
             elif term.cell is not None:
                 self._add_cell(term, term.cell, torque)
@@ -143,7 +143,18 @@ class Catalogue:
 
     def _add_point(self, terms: tuple[str, ...], values: Mapping[str, float], place: tuple[int, ...]) -> None:
         model = model_of(self.band.motion, terms)
-        raw = model.raw_columns(self._whole, np.array([values[one.name] for one in model.nonlinear]), self.lag)
+        for lag in (self.lag, 0.0) if model.chooses_edge else (self.lag,):
+            self._add_columns(model, terms, values, place, lag)
+
+    def _add_columns(
+        self,
+        model: CouplingModel,
+        terms: tuple[str, ...],
+        values: Mapping[str, float],
+        place: tuple[int, ...],
+        lag: float,
+    ) -> None:
+        raw = model.raw_columns(self._whole, np.array([values[one.name] for one in model.nonlinear]), lag)
         number = len(self._smallest.T)
         in_smallest = [one in _OF_SMALLEST for one in model.linear]
         own = [column for column, base in zip(raw.T, in_smallest, strict=True) if not base]
@@ -184,11 +195,6 @@ class Catalogue:
 _OF_SMALLEST = frozenset(one for name in _SMALLEST for one in TERMS[name].parameters)
 
 
-def lag_of(stiffness: float, damping: float) -> float:
-    """Return Bc/Kc, s; 0 if one of them is not positive."""
-    return max(0.0, damping / stiffness) if stiffness > 0.0 else 0.0
-
-
 def model_of(motion: Motion, terms: Iterable[str]) -> CouplingModel:
     """Return the smallest model with these terms, anchored to the motion."""
     return CouplingModel(canonical("+".join(dict.fromkeys((*_SMALLEST, *terms))))).anchored(motion)
@@ -222,10 +228,3 @@ def _are_ordered(terms: Iterable[str], values: Mapping[str, float]) -> bool:
 
 def _is_near(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
     return all(abs(one[name] - other[name]) <= c.SAME_VALUE * abs(other[name]) for name in one)
-
-
-def _slope(motion: Motion, torque: Array) -> Array:
-    """Return the time derivative (n,), N m/s, of a torque."""
-    ends = [*motion.starts[1:], len(motion)]
-    parts = [(torque[a:b], motion.time[a:b]) for a, b in zip(motion.starts, ends, strict=True)]
-    return np.concatenate([np.gradient(*part) if len(part[0]) > 1 else np.zeros(len(part[0])) for part in parts])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.coupling import parse
+from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Problem, fit
 from ga.model.terms import CONSIDERED, SMALLEST, TERMS, size_of
 from ga.model.trajectory import Motion
@@ -15,7 +15,7 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
 from hil.identification.candidates import selection
 from hil.identification.candidates.described import Described, tested
-from hil.identification.candidates.fits import LATE
+from hil.identification.candidates.fits import LATE, with_flanks
 from hil.identification.candidates.selection import Selection
 from hil.identification.coupling import Coupling
 from hil.identification.result import Step
@@ -78,9 +78,12 @@ def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Ch
 
 def _named(model: Coupling, signals: Signals) -> Choice:
     choice = Choice(model.anchored(signals.motion))
+    problem = Problem(choice.model, signals.motion, signals.torque, *model.bounds(signals.motion, signals.band[1]))
+    if isinstance(choice.model, CouplingModel) and choice.model.chooses_edge:
+        choice = replace(choice, model=with_flanks(choice.model, fit(problem.of(signals.rate_known))))
+        problem = replace(problem, model=choice.model)
     if not model.sticks:
         return choice
-    problem = Problem(choice.model, signals.motion, signals.torque, *model.bounds(signals.motion, signals.band[1]))
     # which samples friction holds depends on the delay, and the delay on the samples: twice is close enough
     for _ in range(2):
         found = fit(problem.of(choice.described(signals)))
@@ -159,10 +162,9 @@ def _glimpses(signals: Signals) -> Signals:
         return signals
     firsts = np.linspace(0, len(whole) - c.SELECTED_FROM // c.STRETCHES, c.STRETCHES).astype(np.int64)
     rows = (firsts[:, None] + np.arange(c.SELECTED_FROM // c.STRETCHES)).ravel()
-    begins = np.isin(rows, whole.starts) | np.isin(rows, firsts)
     own = np.arange(len(whole))[places]
     kept = np.isin(own, rows)
-    motion = whole.alone(rows, np.flatnonzero(begins).tolist())
+    motion = whole.alone(rows, range(0, len(rows), c.SELECTED_FROM // c.STRETCHES))
     if len(signals.motion) < len(whole):
         motion = motion.of(np.searchsorted(rows, own[kept]))
     cut = replace(signals, motion=motion, torque=signals.torque[kept])

@@ -176,4 +176,6 @@ def _is_distinct(fitted: Candidate, term: str) -> bool:
     The term's own parameters need not be distinguishable from each other: the relaxation time of a branch may be
     visible while its stiffness is not.
     """
-    return any(column @ column < c.CONFUSED * (alone @ alone) for column, alone in fitted.columns_of(term))
+    return any(
+        column @ column < c.CONFUSED * (alone @ alone) for column, alone in fitted.own_columns(term, together=True)
+    )

@@ -22,7 +22,7 @@ from hil.uncertainty.deflection.fitted import linearised
 from hil.uncertainty.deflection.instruments import followed, is_instrument
 from hil.uncertainty.deflection.simulation import noisier
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
-from hil.uncertainty.effects import EFFECTS, Recorded
+from hil.uncertainty.effects import EFFECTS
 from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
 from hil.uncertainty.misfit import Lacking, LackOfFit
 
@@ -59,9 +59,10 @@ class Described:
         """Return the columns (n, p) of the model at all samples, computed with the given motion."""
         return linearised(self.model, motion, *np.split(self.values, [len(self.model.linear)]))
 
-    def recorded(self, motion: Motion) -> Recorded:
-        """Return the samples (n,) as a `Recorded`, with the given motion."""
-        return Recorded(motion.time, self.signals.coupling_torque, motion.dtheta, motion.dtheta_dot, motion.starts)
+    def dynamic_stiffness(self, torque: Array) -> DynamicStiffness | None:
+        """Return the dynamic stiffness of a torque (n,), N m, in the excited band; None for a short recording."""
+        signals = self.signals
+        return dynamic_stiffness(signals.motion.alone(slice(None)), torque, signals.band, signals.command)
 
 
 def tested(described: Described) -> LackOfFit | None:
@@ -86,15 +87,15 @@ def _tested(described: Described) -> LackOfFit | None:
 def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | None:
     """Test the fit with a motion (n,) computed from the command, which has no measurement errors."""
     columns = described.linearised(motion)
-    recorded, fitted = _held_against(described, motion, columns)
+    fitted = _held_against(described, motion, columns)
     # where the acceleration jumps no low-pass gives the rate, which only a motion without noise shows
     smooth = is_smooth(motion, described.signals.window)
     fitted = replace(fitted, kept=smooth if fitted.kept is None else fitted.kept & smooth)
-    found = lack_of_fit(recorded, fitted)
+    found = lack_of_fit(fitted)
     if found is None or not found.misfit:
         return found
     beside = np.column_stack([fitted.columns, _of_errors(described, columns)])
-    without = lack_of_fit(recorded, replace(fitted, columns=beside))
+    without = lack_of_fit(replace(fitted, columns=beside))
     return found if without is None or without.misfit else without
 
 
@@ -103,7 +104,7 @@ def _tested_as_read(described: Described) -> LackOfFit | None:
     cause.
     """
     signals, motion = described.signals, described.signals.motion
-    found = lack_of_fit(*_held_against(described, motion, None))
+    found = lack_of_fit(_held_against(described, motion, None))
     if found is None or not found.misfit or signals.window is None:
         return found
     before, added = described.linearised(motion), list[float]()
@@ -127,8 +128,7 @@ def tested_motion(described: Described) -> float:
 
 def without_model(described: Described) -> DynamicStiffness | None:
     """Return the dynamic stiffness in the excited band; None if the recording is too short."""
-    signals = described.signals
-    return dynamic_stiffness(described.recorded(signals.motion), signals.band, signals.command)
+    return described.dynamic_stiffness(described.signals.coupling_torque)
 
 
 def _lacking_at_jumps(described: Described) -> Lacking | None:
@@ -148,20 +148,17 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
     genes, nonlinear = np.split(described.values, [len(model.linear)])
     columns = described.linearised(signals.motion)[:, : len(genes)]
     left = model.target(signals.motion, signals.torque, nonlinear) - columns @ genes
-    recorded = described.recorded(signals.motion)
-    whole, lacking = (
-        dynamic_stiffness(one, signals.band, signals.command) for one in (recorded, replace(recorded, torque=left))
-    )
-    if whole is None or lacking is None or len(whole.bands.frequency) != len(lacking.bands.frequency):
+    whole, lacking = (described.dynamic_stiffness(torque) for torque in (signals.coupling_torque, left))
+    if whole is None or lacking is None or len(whole.frequency) != len(lacking.frequency):
         return None
-    bands, speed = lacking.bands, 2.0 * np.pi * lacking.bands.frequency
-    part, all_of_it = (np.hypot(one.bands.stiffness, speed * one.bands.damping) for one in (lacking, whole))
-    is_sure = (np.abs(bands.stiffness) > c.SURE_BAND * bands.stiffness_half_width) | (
-        np.abs(bands.damping) > c.SURE_BAND * bands.damping_half_width
+    speed = 2.0 * np.pi * lacking.frequency
+    part, all_of_it = (np.hypot(one.stiffness, speed * one.damping) for one in (lacking, whole))
+    is_sure = (np.abs(lacking.stiffness) > c.SURE_BAND * lacking.stiffness_half_width) | (
+        np.abs(lacking.damping) > c.SURE_BAND * lacking.damping_half_width
     )
     parts = np.where(is_sure, part / all_of_it, 0.0)
     most = int(np.argmax(parts))
-    return Lacking(float(bands.frequency[most]), float(parts[most])) if parts[most] > c.LACKING else None
+    return Lacking(float(lacking.frequency[most]), float(parts[most])) if parts[most] > c.LACKING else None
 
 
 def _of_errors(described: Described, followed: Array) -> Array:
@@ -185,18 +182,19 @@ def _added(described: Described, before: Array, noisy: Motion) -> float:
     """
     p = len(described.model.linear)
     after = described.linearised(noisy)
-    recorded, without = _held_against(described, noisy, after)
+    without = _held_against(described, noisy, after)
     more = np.where(described.kept, (after - before)[:, :p] @ described.values[:p], 0.0)
-    larger, own = predicted(recorded, replace(without, residuals=without.residuals - more), without)
+    larger, own = predicted(replace(without, residuals=without.residuals - more), without)
     return float(larger**2 - own**2)
 
 
-def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> tuple[Recorded, Residuals]:
-    """Return recording and fit for the lack-of-fit test with another motion.
+def _held_against(described: Described, motion: Motion, of_motion: Array | None) -> Residuals:
+    """Return the fit for the lack-of-fit test with another motion.
 
     of_motion (n, p): the columns of that motion; None: the columns of the motion that the model was fitted to.
     """
-    names, count, recorded = described.names, len(described.signals), described.recorded(motion)
+    names, count, torque = described.names, len(described.signals), described.signals.coupling_torque
+    alone = motion.alone(slice(None))  # a slow cell's torque is known at its own readings only
     coupling = (names.index("Kc"), names.index("Bc")) if {"Kc", "Bc"} <= set(names) else None
     residuals, columns = np.zeros(count), np.zeros((count, len(names)))
     residuals[described.kept], columns[described.kept] = described.residuals, described.columns
@@ -207,14 +205,14 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     )
     skew = next((names.index(name) for name in of_kind(names, "delay")), None)
     if described.averaged:
-        columns = np.concatenate([columns, *_of_every_bench(described, recorded, residuals, columns)], axis=1)
+        columns = np.concatenate([columns, *_of_every_bench(described, alone, residuals, columns)], axis=1)
     if described.differing and coupling is not None:
         columns = np.concatenate([columns, _of_each_recording(described, columns[:, list(coupling)])], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
     columns = np.concatenate([columns, *_of_jumps(described, motion, residuals, columns)], axis=1)
     kept = described.kept & described.signals.smooth  # the same samples, whatever errors are added
     included = frozenset(one.code for one in EFFECTS if one.is_in(names))
-    return recorded, Residuals(residuals, columns, coupling, values, half_width, skew, kept, included)
+    return Residuals(alone, torque, residuals, columns, coupling, values, half_width, skew, kept, included)
 
 
 def _without_errors(signals: Signals) -> Motion:
@@ -231,14 +229,15 @@ def _without_errors(signals: Signals) -> Motion:
     return motion if left < c.NOT_FROM_COMMAND * float(np.var(signals.motion.dtheta)) else signals.motion
 
 
-def _of_every_bench(described: Described, recorded: Recorded, residuals: Array, columns: Array) -> list[Array]:
+def _of_every_bench(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
     """Return the columns (n, 1) of the small effects that every bench has and the fitted model lacks.
 
     columns (n, p): those of the fitted model.
     """
-    model = recorded.torque - residuals
+    torque = described.signals.coupling_torque
     of_bench = (one for one in EFFECTS if any(term.bench for term in one.terms))
-    found = [column for one in of_bench if not one.is_in(described.names) for column in one.signature(recorded, model)]
+    lacking = (one for one in of_bench if not one.is_in(described.names))
+    found = (column for one in lacking for column in one.signature(motion, torque, torque - residuals))
     return [one for one in found if _is_small(described, residuals, columns, one)]
 
 

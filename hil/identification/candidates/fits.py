@@ -57,8 +57,8 @@ class Candidate:
 
     @property
     def anchored(self) -> CouplingModel:
-        """The model, anchored to the recording."""
-        return self.model.anchored(self.problem.motion)
+        """The model, anchored to the recording; the flanks of its gap part as in the fit."""
+        return with_flanks(self.model.anchored(self.problem.motion), self.fit)
 
     def on(self, rows: NDArray[np.bool_]) -> Candidate:
         """Return the fit to the samples `rows` (n,) only, at the nonlinear parameters of the fit to all samples."""
@@ -72,24 +72,15 @@ class Candidate:
         """
         return self.problem.linearised(self.fit)[0]
 
-    def own_columns(self, *terms: str) -> Iterator[tuple[Array, Array]]:
-        """Yield for each parameter of the terms its column (n,), and the part of it orthogonal to all other columns."""
-        columns = self.columns
-        names = [parameter.name for parameter in self.model.parameters]
-        for name in (name for term in terms for name in own(term)):
-            at = names.index(name)
-            others = np.delete(columns, at, axis=1)
-            yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
-
-    def columns_of(self, term: str) -> Iterator[tuple[Array, Array]]:
-        """Yield for each parameter of the term its column (n,), and the part of it orthogonal to other terms'
-        columns.
+    def own_columns(self, *terms: str, together: bool = False) -> Iterator[tuple[Array, Array]]:
+        """Yield for each parameter of the terms its column (n,), and the part of it orthogonal to all other columns;
+        together: to the columns of all other terms.
         """
-        columns = self.columns
-        mine = np.array([parameter.name in own(term) for parameter in self.model.parameters])
-        others = columns[:, ~mine]
-        for column in columns[:, mine].T:
-            yield column, column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
+        columns, names = self.columns, np.array([parameter.name for parameter in self.model.parameters])
+        mine = np.isin(names, [name for term in terms for name in own(term)])
+        for at in np.flatnonzero(mine):
+            others = columns[:, ~mine if together else np.arange(len(names)) != at]
+            yield columns[:, at], columns[:, at] - others @ np.linalg.lstsq(others, columns[:, at], rcond=None)[0]
 
     def is_possible(self, *terms: str) -> bool:
         """Return whether the terms are physically possible and none of their parameters is at an end of its bounds."""
@@ -209,6 +200,11 @@ class Fits:
         return self._problems[unordered]
 
 
+def with_flanks(model: CouplingModel, found: Fit) -> CouplingModel:
+    """Return the model with flanks that part as they do in a fit: at the edge of the gap, or when they would pull."""
+    return replace(model, at_edge=found.lag == 0.0) if model.chooses_edge else model
+
+
 def own(term: str) -> tuple[str, ...]:
     """Return the names of a term's own parameters."""
     return tuple(parameter.name for parameter in TERMS[term].parameters)
@@ -240,8 +236,3 @@ def _held_out(problem: Problem, found: Fit) -> Array:
 
 def _model(terms: tuple[str, ...]) -> CouplingModel:
     return CouplingModel(canonical("+".join(terms)))  # on the way to a model it may lack what a term needs
-
-
-def _named(model: CouplingModel, found: Fit) -> dict[str, float]:
-    """Return the nonlinear parameters of a fit by name."""
-    return dict(zip((parameter.name for parameter in model.nonlinear), found.nonlinear.tolist(), strict=True))

@@ -29,7 +29,7 @@ def of_jerk(motion: Motion) -> Array:
     acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The true rate is therefore lower
     by h^2/12 (w^2 v + 2 z w a + j), of which only the last part is known.
     """
-    return c.TWELFTH * _step(motion) ** 2 * motion.changing(0.0).dtheta_ddot
+    return c.TWELFTH * motion.step**2 * motion.changing(0.0).dtheta_ddot
 
 
 def taken_off(motion: Motion) -> Array:
@@ -38,8 +38,8 @@ def taken_off(motion: Motion) -> Array:
 
     The difference is that of `of_jerk`.
     """
-    speed = min(2.0 * np.pi * c.USUAL_DRIVE * _step(motion), (c.TAKEN_OFF / c.TWELFTH) ** 0.5)  # w h
-    of_acceleration = 2.0 * c.TWELFTH * c.DRIVE_DAMPING * speed * _step(motion)
+    speed = min(2.0 * np.pi * c.USUAL_DRIVE * motion.step, (c.TAKEN_OFF / c.TWELFTH) ** 0.5)  # w h
+    of_acceleration = 2.0 * c.TWELFTH * c.DRIVE_DAMPING * speed * motion.step
     found = c.TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
     return np.asarray(found)
 
@@ -55,7 +55,7 @@ def most_taken_off(signals: Signals) -> float:
     motion, window, command = signals.motion, signals.window, signals.command
     if window is None or not is_instrument(command) or motion.part_of is not None:
         return 0.0
-    if 1.0 / _step(motion) > c.DENSE_READINGS * window.band[1]:
+    if 1.0 / motion.step > c.DENSE_READINGS * window.band[1]:
         return 0.0
     sound = window.sound(motion.time)
     smooth = followed(motion, window, command, sound)
@@ -63,11 +63,7 @@ def most_taken_off(signals: Signals) -> float:
     held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
     found = np.linalg.lstsq(columns - columns.mean(axis=0), held - held.mean(), rcond=None)[0]
     is_behind = bool((found[0] * found[1:] > 0.0).all())
-    return float(min(c.TWELFTH * _step(motion) ** 2 * found[0] / found[2], 1.0)) if is_behind else 0.0
-
-
-def _step(motion: Motion) -> float:
-    return float(np.median(np.diff(motion.time)))
+    return float(min(c.TWELFTH * motion.step**2 * found[0] / found[2], 1.0)) if is_behind else 0.0
 
 
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFit, BandFits
-from hil.identification.candidates.catalogue import Catalogue, lag_of, model_of
+from hil.identification.candidates.catalogue import Catalogue, model_of
 from hil.identification.candidates.search import Candidate, Search
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
@@ -128,5 +128,5 @@ def _coupling_torque(catalogue: Catalogue, fit: BandFit) -> Array:
     model = model_of(motion, [term for term in fit.terms if TERMS[term].role != "channel"])
     genes = dict(zip((one.name for one in fit.model.linear), fit.genes.tolist(), strict=True))
     nonlinear = np.array([fit.values[one.name] for one in model.nonlinear])
-    columns = model.raw_columns(motion.whole[0], nonlinear, lag_of(*fit.genes[:2].tolist()))
+    columns = model.raw_columns(motion.whole[0], nonlinear, fit.lag)
     return np.asarray(columns @ [genes[one.name] for one in model.linear])

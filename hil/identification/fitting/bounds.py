@@ -32,8 +32,10 @@ def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, 
     return Bounds(low, high, tuple(parameter.name for parameter in model.linear))
 
 
-def narrowed(low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str) -> tuple[Array, Array]:
-    """Return the bounds (p,), narrowed to the given ranges.
+def narrowed(
+    low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str, *, zero: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the bounds (p,), narrowed to the given ranges; parameters that are deflections count from `zero`, rad.
 
     Raises WrongUse for an unknown parameter, an empty range, or a negative range of a parameter that cannot be
     negative.
@@ -48,5 +50,6 @@ def narrowed(low: Array, high: Array, given: Given, parameters: Sequence[Paramet
         at = names.index(name)
         if parameters[at].positive and highest <= 0.0:
             raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: {name} is not negative; give a range above zero")
-        low[at], high[at] = max(lowest, 0.0) if parameters[at].positive else lowest, highest
+        shift = zero if parameters[at].place else 0.0
+        low[at], high[at] = max(lowest, 0.0) if parameters[at].positive else lowest - shift, highest - shift
     return low, high

@@ -19,6 +19,7 @@ from hil.signals.defects import Defects
 from hil.signals.prepare import LongRecording, Signals, joined, prepare, refuse_at_rest
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
+from hil.signals.zero_steps import zero_steps
 from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
@@ -33,9 +34,8 @@ class Dataset:
     choice: the model, anchored to the recordings, and why it was chosen. signals: all signals, or pieces of them if
     they do not fit in memory. whole: whether `signals` are all signals. used (n,): which samples of `signals` are
     fitted. blocks: columns of the linear parameters, and torque, of all fitted samples. in_memory: columns and torque
-    of the fitted samples in `signals`. edges: the row of the blocks at which each recording ends. uncertainty: relative
-    standard uncertainty of the torque's scale. place: the deflection at which the joint is unloaded, from which the
-    deflections of the signals count.
+    of the fitted samples in `signals`. edges: the row of the blocks at which each recording ends. place: the deflection
+    at which the joint is unloaded, from which the deflections of the signals count.
     """
 
     choice: Choice
@@ -45,7 +45,6 @@ class Dataset:
     blocks: Blocks
     in_memory: Block
     edges: tuple[int, ...]
-    uncertainty: float
     place: Unloaded
     diagnostics: list[Diagnostic]
 
@@ -83,9 +82,7 @@ def open_dataset(
         )
         used = choice.described(signals)
         seen = _rows(choice, signals, used)
-        yield Dataset(
-            choice, signals, used, False, table.blocks, seen, edges, _uncertainty(sources), place, diagnostics
-        )
+        yield Dataset(choice, signals, used, False, table.blocks, seen, edges, place, diagnostics)
 
 
 def _in_memory(sources: Sequence[Source], choose: Choose, rest: Rest) -> Dataset:
@@ -105,7 +102,7 @@ def _in_memory(sources: Sequence[Source], choose: Choose, rest: Rest) -> Dataset
     blocks = Blocks.of(*rows)
     edges = tuple(np.cumsum(used)[np.cumsum([len(part) for part in parts]) - 1].tolist())
     diagnostics += _slow(int(np.count_nonzero(~choice.moving(signals.motion))), len(used))
-    return Dataset(choice, signals, used, True, blocks, rows, edges, _uncertainty(sources), place, diagnostics)
+    return Dataset(choice, signals, used, True, blocks, rows, edges, place, diagnostics)
 
 
 def _other_zero(reference: float) -> list[Diagnostic]:
@@ -149,7 +146,7 @@ def _to_disk(
             if progress is not None:
                 progress("reading", min(1.0, read / rows))
         edges.append(table.rows)
-        diagnostics += _diagnostics(source, stretches, defects)
+        diagnostics += [*_diagnostics(source, stretches, defects), *_unmended(source, joined(stretches))]
     return tuple(edges), diagnostics + _other_zero(reference) + _slow(held, read)
 
 
@@ -165,8 +162,18 @@ def _diagnostics(source: Source, stretches: list[Signals], defects: Defects) -> 
     return recording_diagnostics(source.recording, assess(source.recording, stretches, defects), source.limits)
 
 
-def _uncertainty(sources: Sequence[Source]) -> float:
-    return max(source.torque_uncertainty for source in sources)
+def _unmended(source: Source, pieces: Signals) -> list[Diagnostic]:
+    """Return an error where a zero changes between pieces of a recording too long for memory."""
+    steps = zero_steps(pieces.motion, pieces.as_read - pieces.motion.known) if len(pieces) > c.FEWEST else []
+    if not steps:
+        return []
+    where = "; ".join(f"of the {one.channel} between {one.before:.6g} s and {one.time:.6g} s" for one in steps)
+    text = (
+        f"{source.path}: a zero changes, as after a tare or a restart: {where}. In a recording of more than "
+        f"{c.IN_MEMORY} rows this is not corrected, so Kc and Bc are wrong. Identify the rows before and after it "
+        "alone, with --from and --to"
+    )
+    return [Diagnostic("not-identifiable", text, is_error=True)]
 
 
 def _slow(left_out: int, samples: int) -> list[Diagnostic]:

@@ -28,7 +28,7 @@ def rate_beside_jumps(motion: Motion, command: Array | None) -> Array | None:
     whole, rows = motion.whole
     if whole.behind is None or command is None or len(whole) <= 2 * c.SLOWEST_STEP or not np.ptp(command) > 0.0:
         return None
-    steps, period = np.diff(command, prepend=command[:1]), float(np.median(np.diff(whole.time)))
+    steps, period = np.diff(command, prepend=command[:1]), whole.step
     if np.count_nonzero(steps) > c.OFTEN * len(steps):
         jumps = _prescribed(whole.dtheta, command, period)
     else:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,14 +76,33 @@ def averaged(
     means = [(mean, against) for one, against in likely if (mean := _mean(one, doubtful))]
     if not means:
         return {}
-    found, against = [mean for mean, _ in means], np.array([odds for _, odds in means])
+    found, against = [mean for mean, _ in means], [odds for _, odds in means]
     if not contains(largest, selected):
         own = {name: selected.values[name] + float(more[largest.names.index(name)]) for name in c.COUPLING}
         found = [{name: _about(own[name], one[name]) for name in c.COUPLING} for one in found]
-    weights = np.exp(-0.5 * (against - against.min()))
+    best = against.index(min(against))
+    for rival, odds in _rivals(choice, (*doubtful, *BENCH), found[best]):
+        found, against = [*found, rival], [*against, against[best] + odds]
+    weights = np.exp(-0.5 * (np.array(against) - against[best]))
     mixed = {name: _mixed(weights / weights.sum(), [one[name] for one in found]) for name in c.COUPLING}
     bc, further = mixed["Bc"], NORMAL * _hidden(selected, mixed["Kc"].value)
     return mixed | {"Bc": Averaged(bc.value, float(np.hypot(bc.half_width, further)))}
+
+
+def _rivals(
+    choice: Choice, apart: Collection[str], best: Mapping[str, Averaged]
+) -> Iterator[tuple[dict[str, Averaged], float]]:
+    """Yield Kc and Bc of each model with one term more that was refused although the evidence against it is weak, and
+    twice the log odds against it; it is no likelier than `best`. apart: terms that are averaged over in another way.
+    """
+    terms = {*choice.model.name.split("+")}
+    chosen = [step for step in choice.steps if {*step.model.split("+")} == terms]
+    for step in choice.steps if chosen else ():
+        larger = {*step.model.split("+")} == {*terms, step.term} > terms
+        if larger and step.term not in apart and step.gain > c.EVIDENCE_AGAINST:
+            change = {name: getattr(step, name) - getattr(chosen[-1], name) for name in best}
+            rival = {name: replace(best[name], value=best[name].value + change[name]) for name in best}
+            yield rival, max(-step.gain, 0.0)
 
 
 def _likely_models(largest: Largest, more: Array, selected: Selected) -> Iterator[tuple[Largest, float]]:
@@ -207,7 +226,6 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         [at for at, name in enumerate(names) if name in costs and name in PARAMETERS and PARAMETERS[name].positive],
         largest.likely,
         bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
-        seldom=[names.index(name) for name in largest.seldom],
     )
     if found is None:
         return {}

@@ -7,7 +7,10 @@ Each is one column, with the size that joints or drives have of it, and the odds
   and by how much, which is at most the friction at speed.
 - Damping grows with the rate, as that of a moving fluid does. Bc is then the damping at the usual rate, and not that of
   slow motion.
-- A branch relaxes faster than the joint moves: it looks like a torque that is read late, or like damping.
+- A branch relaxes faster than the joint moves: it looks like a torque that is read late, or like damping. Beside a
+  branch, another one relaxes slowly.
+- The spring curves, softens or has a narrow gap, or friction in proportion to the torque builds up: each a small part
+  of the spring's torque, below what selection finds.
 - A drive holds its set-points between two readings, and the true rate is lower than that of the smooth motion.
 
 The fit with such a column is integrated over its size, and has the weight that its odds and its likelihood give it; but
@@ -59,7 +62,7 @@ class Hidden(NamedTuple):
 
 def hidden(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, Hidden]]:
     """Yield each hidden effect with the fit of the largest model beside it, its factor the last parameter."""
-    effects = (yielding(largest, selected) for yielding in (_falling, _growing, _relaxing, _held))
+    effects = (yielding(largest, selected) for yielding in (_falling, _growing, _relaxing, _held, _uneven))
     for effect in chain.from_iterable(effects):
         columns = np.column_stack([largest.columns, effect.column])
         try:
@@ -122,16 +125,21 @@ def _growing(largest: Largest, selected: Selected) -> Iterator[Hidden]:
 
 def _relaxing(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield a branch of each of a few relaxation times, up to the shortest period of the motion, if the model has a
-    skew: in one of ten joints with a skew, such a branch causes it.
+    skew: in one of ten joints with a skew, such a branch causes it. If the model has a branch, yield slower ones too.
     """
-    terms, stiffness = selected.model.name.split("+"), float(largest.values[largest.names.index("Kc")])
+    terms, values = selected.model.name.split("+"), dict(zip(largest.names, largest.values.tolist(), strict=True))
     branch = next((term for term in of_role("branch") if is_addable(term, terms)), "")
-    if not branch or stiffness <= 0.0 or not any(TERMS[term].delays for term in terms):
+    if not branch or values["Kc"] <= 0.0:
         return
     (name,) = (one.name for one in TERMS[branch].parameters if one.nonlinear)
-    for time in np.geomspace(SHORTEST_RELAXATION, 1.0, c.RELAXES) / selected.data.band[1]:
-        column = _column(branch, selected, {name: float(time)})
-        yield Hidden(column, c.STIFFEST * stiffness, 2.0 * c.ONE_IN_TEN, c.RELAXES)
+    if any(TERMS[term].delays for term in terms):
+        for time in np.geomspace(SHORTEST_RELAXATION, 1.0, c.RELAXES) / selected.data.band[1]:
+            column = _column(branch, selected, {name: float(time)})
+            yield Hidden(column, c.STIFFEST * values["Kc"], 2.0 * c.ONE_IN_TEN, c.RELAXES)
+    slowest = c.SLOWEST_BRANCH * float(np.ptp(selected.data.motion.time))
+    if (relaxing := size_of(values, "relaxing stiffness")) > 0.0 and slowest * selected.data.band[1] > 1.0:
+        for time in np.geomspace(1.0 / selected.data.band[1], slowest, c.BRANCHES):
+            yield Hidden(_column(branch, selected, {name: float(time)}), relaxing, c.ONE_IN_TEN, c.BRANCHES)
 
 
 def _held(largest: Largest, selected: Selected) -> Iterator[Hidden]:
@@ -141,6 +149,31 @@ def _held(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     if not of_kind(values, "moment of inertia") and values["Bc"] > 0.0:
         acts = np.abs(largest.columns[:, largest.names.index("Bc")]) > 0.5 * np.abs(motion.dtheta_dot)  # not in a gap
         yield Hidden(-damping_at(motion.dtheta_dot, values) * taken_off(motion) * acts, 1.0, c.ONE_IN_TEN)
+
+
+def _uneven(largest: Largest, selected: Selected) -> Iterator[Hidden]:
+    """Yield what makes the spring uneven, if the model has no such term: a curve, a stiffness that drifts, a narrow
+    gap, and friction in proportion to the torque that builds up.
+    """
+    terms, motion = selected.model.name.split("+"), selected.data.motion
+    roles, own = {TERMS[term].role for term in terms}, {name: largest.names.index(name) for name in c.COUPLING}
+    spring = largest.values[own["Kc"]] * largest.columns[:, own["Kc"]]
+    if roles.intersection({"curve", "play", "load"}) or not largest.values[own["Kc"]] > 0.0:
+        return
+    uneven = [_column(term, selected, {}) for term in of_role("curve", "change") if _is_alone(term, largest)]
+    carried = np.abs(spring + largest.values[own["Bc"]] * largest.columns[:, own["Bc"]])
+    whole, rows = motion.whole
+    reach = c.BUILDS_UP * float(np.ptp(motion.dtheta))
+    uneven += [-np.sign(motion.dtheta), carried * whole.presliding(reach)[rows]]
+    for column in uneven:
+        power = float(np.mean(column**2))
+        if power > 0.0:
+            yield Hidden(column, c.UNEVEN * (float(np.mean(spring**2)) / power) ** 0.5, c.ONE_IN_TEN, len(uneven))
+
+
+def _is_alone(term: str, largest: Largest) -> bool:
+    """Return whether a term has one column and can be added to the largest model."""
+    return TERMS[term].linear and is_addable(term, largest.model.name.split("+"))
 
 
 def _column(term: str, selected: Selected, nonlinear: dict[str, float]) -> Array:

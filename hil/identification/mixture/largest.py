@@ -79,14 +79,8 @@ class Largest:
         """
         curving = max((cost for term, cost in doubtful.items() if term in _CURVES), default=AKAIKE)
         found = {term: curving if term in _CURVES else AKAIKE for term in self.added if term not in _ALWAYS}
-        found |= {term: cost + c.ONE_IN_TEN for term, cost in found.items() if TERMS[term].seldom}
         costs = {name: cost for term, cost in (found | dict(doubtful)).items() for name in own(term)}
         return costs | {name: AKAIKE for name in self.names if name.startswith(_DEVIATING)}
-
-    @property
-    def seldom(self) -> list[str]:
-        """Return the names of those added parameters that only one joint in ten has."""
-        return [name for term in self.added if TERMS[term].seldom for name in own(term)]
 
 
 @dataclass(frozen=True, eq=False)

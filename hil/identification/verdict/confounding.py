@@ -14,6 +14,7 @@ from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.criterion import predicts_better
 from hil.identification.candidates.fits import LATE, Fits
 from hil.identification.verdict.evidence import Evidence
+from hil.printable import quoted
 from hil.signals import constants as c
 from hil.uncertainty.criteria import dampings_behind_filter
 
@@ -75,7 +76,11 @@ def _filtered_angle(evidence: Evidence) -> list[Diagnostic]:
         "angle; Kc is the same. Record the angle without the drive's filter. If the torque is the motor's, "
         f"{_as_motors(evidence)}"
     )
-    known = f". If you know that there is an inertia, name --model {evidence.model.name}" if evidence.selected else ""
+    known = (
+        f". If you know that there is an inertia, name --model {quoted(evidence.model.name)}"
+        if evidence.selected
+        else ""
+    )
     return [Diagnostic("inertia-in-torque", text + known, "Bc", is_error=evidence.selected)]
 
 
@@ -95,7 +100,7 @@ def _one_frequency(evidence: Evidence) -> list[Diagnostic]:
         "damping, and an inertia (if the torque is the motor's) like less stiffness. Kc and Bc are those at this "
         f"frequency. {several_speeds(evidence)}"
     )
-    known = f". If you know that the joint has neither, name --model {evidence.model.name}" if selected else ""
+    known = f". If you know that the joint has neither, name --model {quoted(evidence.model.name)}" if selected else ""
     return [Diagnostic("one-frequency", text + known, None if selected else "Kc", is_error=selected)]
 
 
@@ -110,7 +115,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     motion, values = evidence.signals.motion, dict(zip(evidence.names, evidence.values.tolist(), strict=True))
     curves = set(of_role("curve")).intersection(evidence.model.name.split("+"))
     # in ticks of the recorder: a slow cell is late, and never early, by its own pace
-    early = -size_of(values, "delay") / (c.TICK_SHARE * float(np.median(np.diff(motion.whole[0].time))))
+    early = -size_of(values, "delay") / (c.TICK_SHARE * motion.whole[0].step)
     if not evidence.selected or _least_friction(evidence) > c.NO_FRICTION * _loaded(evidence):
         return []
     has_inertia = bool(of_kind(values, "moment of inertia"))
@@ -125,7 +130,7 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     else:
         return []
     smooth = again("Drive a multisine or a chirp", "--profile", imported=evidence.signals.imported)
-    known = f". If you know that there is no friction, name --model {evidence.model.name}"
+    known = f". If you know that there is no friction, name --model {quoted(evidence.model.name)}"
     text = (
         "the joint rests at one place after each move up, and at another after each move down. Dry friction that holds "
         f"it there {fits}. Kc and Bc may be wrong. {smooth}{'' if of_kind(values, *FRICTION, 'load share') else known}"
@@ -183,14 +188,14 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
     if skew is None:
         return []
     delay, lag = LATE
-    ticks = abs(skew) / float(np.median(np.diff(evidence.signals.motion.time)))
+    ticks = abs(skew) / evidence.signals.motion.step
     if ticks <= c.LONGEST_SKEW:
         return []
     text = (
         f"the torque reading seems {1e3 * abs(skew):.3g} ms {'older' if skew > 0.0 else 'newer'} than the angle "
         f"reading, {ticks:.3g} ticks. One recorder reads both within one tick, so the cause may be a filter of the "
         "torque cell, a slow cell or an inertia. Bc is wrong then. "
-        f"Try --model {evidence.model.name.replace(delay, lag)}, or compare the filters of the two sensors"
+        f"Try --model {quoted(evidence.model.name.replace(delay, lag))}, or compare the filters of the two sensors"
     )
     # the average over models includes the other causes; a named model does not
     return [Diagnostic("skew-implausible", text, "Bc", is_error=not (evidence.selected or _is_distinct(evidence)))]
@@ -216,8 +221,8 @@ def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:
     Another filter with the same delay fits nearly as well and gives another Bc (a Butterworth filter of 30 Hz: 8 %
     more).
     """
-    step = float(np.median(np.diff(evidence.signals.motion.whole[0].time)))
-    known = f". If you know that it is a mean, name --model {evidence.model.name}" if evidence.selected else ""
+    step = evidence.signals.motion.whole[0].step
+    known = f". If you know that it is a mean, name --model {quoted(evidence.model.name)}" if evidence.selected else ""
     return Diagnostic(
         "torque-reading",
         f"a filter acts on the torque: it is {1e3 * late:.3g} ms late and looks like a mean over {1e3 * window:.3g} ms "

@@ -104,7 +104,8 @@ class Evidence:
             found = found and narrow(half, value) and not self.unmoved
         if self.parameters[at].presence:
             found = found and half < abs(value)
-        return found
+        # of a gap that may be zero, the middle may be anywhere
+        return found and all(self.identifiable(k) for k, one in enumerate(self.parameters) if one.about == name)
 
     def _known_beside_its_term(self, at: int) -> bool:
         """Return whether a parameter has a narrow interval although it resembles another parameter of its own term.

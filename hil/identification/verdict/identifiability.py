@@ -13,6 +13,8 @@ from hil.diagnostics import Diagnostic, again
 from hil.identification.fitting.unloaded import DEFLECTION, UNLOADED_PLACE
 from hil.identification.verdict.confounding import confounded, several_speeds
 from hil.identification.verdict.evidence import Evidence, sliding, span_of_stiffness
+from hil.printable import quoted
+from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
 from hil.uncertainty.criteria import distinguishable, narrow
 from hil.uncertainty.stationarity import VarianceComponents
@@ -71,6 +73,18 @@ def wide_intervals(evidence: Evidence, doubts: Sequence[Diagnostic]) -> list[Dia
     ]
 
 
+def uncertain_scale(scale: TorqueScale) -> list[Diagnostic]:
+    """Return a warning if the torque's scale alone makes the intervals of Kc and Bc wide."""
+    half = c.NORMAL * scale.included
+    text = (
+        f"Kc and Bc are uncertain by {half:.0%} because the torque's scale is: {scale.source}, {scale.included:.0%} "
+        "(standard uncertainty). Bc/Kc and differences between recordings of this stand are not affected. Use a torque "
+        "cell at the joint (hil calibrate torque), or measure the drive's torque against a load cell and give "
+        "torque_uncertainty in [stand]"
+    )
+    return [Diagnostic("wide-interval", text)] if half > c.UNCERTAIN else []
+
+
 def other_stiffness(
     values: Mapping[str, float], deflected: float = 0.0, /, *, model: str = "", spans: str = ""
 ) -> list[Diagnostic]:
@@ -87,7 +101,7 @@ def other_stiffness(
             f"Kc depends on the amplitude: it is {kc:.3g} N m/rad in large motion, where the friction slides, and "
             f"{kc + more:.3g} N m/rad in motion of less than {reach:.2g} rad. "
         )
-        remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model {model}"
+        remedy = f"The interval of Kc spans both. For the Kc of large motion, name --model {quoted(model)}"
         use = "The Kc here is that of large motion. For motion between, use K'(f) of --verbose"
         text += remedy if spans == "amplitude" else use
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "amplitude"))
@@ -104,8 +118,8 @@ def other_stiffness(
         )
         if spans == DEFLECTION:
             remedy = (
-                "It is unloaded beside that place. The interval of Kc spans both. For the mean of both, name --model "
-                f"{model}"
+                "It is unloaded beside that place. The interval of Kc spans both. For the mean of both, name "
+                f"--model {quoted(model)}"
             )
         text += remedy if spans in ("direction", DEFLECTION) else "The Kc here is their mean"
         found.append(Diagnostic("two-stiffnesses", text, "Kc", is_error=spans == "direction"))
@@ -283,7 +297,7 @@ def _by_the_choice(evidence: Evidence, at: int) -> str:
     return (
         f"model {evidence.model.name} gives "
         f"{with_unit(f'{value:.3g} ± {half:.2g}', unit)}, and other models that fit equally well give other "
-        f"values. {cause}. {corner}{remedy}. If you know that {known}, name --model {evidence.model.name}"
+        f"values. {cause}. {corner}{remedy}. If you know that {known}, name --model {quoted(evidence.model.name)}"
     )
 
 

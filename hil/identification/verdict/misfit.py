@@ -13,6 +13,7 @@ from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.described import Described, tested_motion
 from hil.identification.result import Estimate
+from hil.printable import quoted
 from hil.signals import constants as c
 from hil.signals.torque_reading import long_delay
 from hil.uncertainty.dynamic_stiffness import DynamicStiffness
@@ -96,7 +97,8 @@ def _untested_motion(described: Described, model: str) -> list[Diagnostic]:
     text = (
         f"only {percent(moving)} of the motion is in samples away from jumps of the acceleration, where the fit "
         "can be tested. Between two rests, friction, an inertia, a stiffness that relaxes and a late torque "
-        f"reading look alike, {wrong} may be wrong. {smooth}. If you know that the model is right, name --model {model}"
+        f"reading look alike, {wrong} may be wrong. {smooth}. If you know that the model is right, name "
+        f"--model {quoted(model)}"
     )
     return [Diagnostic("misfit-untested", text, None if curves else "Bc", is_error=True)]
 
@@ -172,11 +174,10 @@ def _remedy(model: SeparableModel, found: LackOfFit) -> str:
     return f"The residuals look like {' or '.join(looks)}: {found.suspects[0].effect.remedy(*terms)}"
 
 
-def _frequencies(dynamic: DynamicStiffness | None) -> str:
+def _frequencies(bands: DynamicStiffness | None) -> str:
     """Return how the storage stiffness K' changes over the excited band, as text, if it does."""
-    if dynamic is None:
+    if bands is None:
         return ""
-    bands = dynamic.bands
     low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
     error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
     if len(bands.frequency) < 2 or abs(high - low) < max(error, c.CHANGING * abs(low)):

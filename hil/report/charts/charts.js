@@ -29,12 +29,23 @@
     return `hsl(${value < 0 ? 5 : 212} 75% ${95 - 50 * size}%)`;
   }
 
+  function extent(some) {
+    let low = Infinity, high = -Infinity;
+    for (const one of some) { low = Math.min(low, one); high = Math.max(high, one); }
+    return [low, high];
+  }
+
+  // What a legend tells of a line: its value under the cursor; without a cursor its range.
+  function tell(plot, value, line, index) {
+    if (index === null || index === undefined) return extent(known(plot.data[line])).map((one) => one.toPrecision(4)).join(" to ");
+    return value === null || value === undefined ? "none" : value.toPrecision(5);
+  }
+
   // The ends of an axis [low, high] that show all of a panel, with a margin; of a logarithmic axis in decades.
   function ends(values, scale) {
     const some = known(values).filter((one) => scale !== "log" || one > 0);
     if (!some.length) return [0, 1];
-    let low = Infinity, high = -Infinity;
-    for (const one of some) { low = Math.min(low, one); high = Math.max(high, one); }
+    const [low, high] = extent(some);
     if (scale === "log") return [low / 1.3, high * 1.3];
     const margin = high > low ? 0.05 * (high - low) : 0.05 * Math.abs(high) || 1;
     return [low - margin, high + margin];
@@ -119,7 +130,6 @@
     ];
     const wide = panel.heat ? [left, right] : panel.names.length ? [-0.5, panel.names.length - 0.5] : ends(xs, panel.xScale);
     const tall = panel.heat ? [bottom, top] : ends(ys, panel.scale);
-    const tell = (_, value) => (value === null || value === undefined ? "" : value.toPrecision(5));
     const series = panel.shared
       ? panel.lines.map((line) => ({ label: line.name || panel.label, stroke: palette[line.colour], width: line.width, dash: line.dashed ? [6, 4] : undefined, value: tell, points: { show: false } }))
       : [{ show: true, stroke: "transparent", points: { show: false } }];

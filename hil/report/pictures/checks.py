@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 
 _SEGMENT = 1024  # samples of the residuals in a spectrum, at most
 _LAGS = 200
-_COLOURS = ("first", "error", "good", "ink", "soft")
 
 
 def residuals_chart(found: Identification) -> Chart:
@@ -62,7 +61,7 @@ def _residuals(found: Identification) -> tuple[Array, float]:
     """Return the residuals (n,) in the printed unit, without their mean, and their sampling rate, Hz."""
     factor, _ = people_unit("N*m", milli=milli(found))
     values = factor * (found.signals.torque - modelled(found))
-    return values - values.mean(), 1.0 / float(np.median(np.diff(found.signals.motion.time)))
+    return values - values.mean(), 1.0 / found.signals.motion.step
 
 
 def spectrum_panel(values: Array, rate: float, unit: str) -> Panel:
@@ -133,11 +132,9 @@ def plane_panel(found: LackOfFit, factor: float, unit: str) -> Panel:
 def dynamic_stiffness_chart(found: Identification, dynamic: DynamicStiffness) -> Chart:
     """Return stiffness K'(f), damping B'(f) and coherence over frequency."""
     factor, unit = people_unit("N*m", milli=milli(found))
-    damping, coherence = list[Line](), list[Line]()
-    for (_, bands), colour in zip(dynamic.groups, _COLOURS * len(dynamic.groups), strict=False):
-        half = factor * np.nan_to_num(bands.damping_half_width, posinf=0.0)
-        damping += _with_intervals("", bands.frequency, factor * bands.damping, half, colour)
-        coherence.append(Line("", bands.frequency, bands.coherence, colour))
+    half = factor * np.nan_to_num(dynamic.damping_half_width, posinf=0.0)
+    damping = _with_intervals("", dynamic.frequency, factor * dynamic.damping, half, "first")
+    coherence = [Line("", dynamic.frequency, dynamic.coherence, "first")]
     return Chart(
         [
             stiffness_panel(dynamic, factor, f"{unit}/rad", "stiffness"),
@@ -152,11 +149,8 @@ def stiffness_panel(
     found: DynamicStiffness, factor: float, unit: str, title: str = "stiffness without a model"
 ) -> Panel:
     """Return stiffness K'(f) with its intervals. factor, unit: from SI to the printed unit of stiffness."""
-    lines: list[Line] = []
-    for (name, bands), colour in zip(found.groups, _COLOURS * len(found.groups), strict=False):
-        half = factor * np.nan_to_num(bands.stiffness_half_width, posinf=0.0)
-        shown = f"deflection {name}" if found.by_amplitude else ""
-        lines += _with_intervals(shown, bands.frequency, factor * bands.stiffness, half, colour)
+    half = factor * np.nan_to_num(found.stiffness_half_width, posinf=0.0)
+    lines = _with_intervals("", found.frequency, factor * found.stiffness, half, "first")
     return Panel("frequency [Hz]", f"K' [{unit}]", lines, title=title, x_scale="log")
 
 

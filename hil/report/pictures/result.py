@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hil.identification.result import Identification
-    from hil.uncertainty.dynamic_stiffness import Bands
+    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+
+NAMES = ("loop", "traces", "residuals", "fit", "intervals", "selection", "dynamic", "convergence", "landscape")
+"""The names of all pictures, of which a result has most."""
 
 
 def figure(found: Identification) -> Figure:
@@ -58,7 +61,7 @@ def pictures(found: Identification) -> list[Picture]:
         text = estimates.selection_text(found)
         shown.append(Picture("selection", "Model selection", text, lambda: estimates.selection_chart(found)))
     if (dynamic := found.dynamic_stiffness) is not None:
-        text = _dynamic_text(found, dynamic.bands)
+        text = _dynamic_text(found, dynamic)
         chart = lambda: checks.dynamic_stiffness_chart(found, dynamic)  # noqa: E731 - as the others
         shown.append(Picture("dynamic", "Dynamic stiffness", text, chart))
     return [*shown, *_search_pictures(found)]
@@ -98,7 +101,7 @@ def fit_pictures(found: Identification) -> list[Picture]:
     ]
 
 
-def _dynamic_text(found: Identification, bands: Bands) -> str:
+def _dynamic_text(found: Identification, bands: DynamicStiffness) -> str:
     """Return stiffness, damping and coherence in the bands in words."""
     factor, unit = people_unit("N*m", milli=milli(found))
     ranges = (

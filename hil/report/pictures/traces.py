@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import lag_of
 from hil.report.chart import Chart, Line, Panel
 from hil.report.formatting import people_unit
 from hil.report.identification import milli
@@ -91,7 +92,7 @@ def linear_problem(found: Identification) -> tuple[Array, Array]:
     signals, p = found.signals, len(found.model.linear)
     values = found.values
     nonlinear = values[p:]
-    lag = max(0.0, values[1] / values[0]) if found.model.needs_ratio and values[0] > 0.0 else 0.0
+    lag = lag_of(*values[:2].tolist()) if found.model.needs_ratio else 0.0
     columns = found.model.columns(signals.motion, nonlinear, lag)
     return columns, found.model.target(signals.motion, signals.torque, nonlinear)
 

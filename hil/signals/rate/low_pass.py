@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, comb, log
+from math import ceil, comb
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -196,9 +196,11 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
     """Return readings (n,) or (k, n) at even times, filtered by each of the first kernels, (kernels, n) or (k, kernels,
     n).
     """
+    from scipy.fft import next_fast_len
+
     before, end = low_pass.half, low_pass.half + even.shape[-1]
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
-    size = transform_size(end + before)
+    size = next_fast_len(end + before, real=True)
     padded = np.zeros((*even.shape[:-1], size))  # np.pad takes half as long as the transform
     padded[..., before:end] = even - even[..., :1]
     padded[..., end : end + before] = padded[..., end - 1 : end]
@@ -206,17 +208,6 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
     found = found[..., 2 * before : end + before]
     found[..., 0, :] += even[..., :1]
     return np.asarray(found)
-
-
-@lru_cache(maxsize=64)
-def transform_size(count: int) -> int:
-    """Return the smallest size of a fast Fourier transform, a product of 2, 3 and 5, for `count` samples.
-
-    The next power of two is up to twice as long.
-    """
-    twos, threes, fives = (1 + ceil(log(count, base)) for base in (2, 3, 5))
-    sizes = (int(2**a * 3**b * 5**c) for a in range(twos) for b in range(threes) for c in range(fives))
-    return min(size for size in sizes if size >= count)
 
 
 def _is_even(time: Array, low_pass: LowPass) -> bool:

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.trajectory import Motion, beyond_noise
+from ga.model.sticking import beyond_noise
+from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing
@@ -105,10 +106,6 @@ class Window:
     def sound(self, time: Array) -> NDArray[np.bool_]:
         """Return the samples (n,) for which all neighbours exist from which the rate is computed."""
         return is_sound(time, self.low_pass) if self.low_pass else _whole(time, self.widest, self.step)
-
-    def has_acceleration(self, time: Array) -> NDArray[np.bool_]:
-        """Return the samples (n,) for which all neighbours exist from whose rates the acceleration is computed."""
-        return _whole(time, self.curvature, self.step)
 
 
 def _known(found: Array, values: Array) -> Array:

@@ -1,19 +1,19 @@
 "use strict";
 // The page of hil studio: shows what the commands write, and starts and stops them. Texts of files become text, never markup.
 (function () {
-  const PREFIXES = [[1e9, "G"], [1e6, "M"], [1e3, "k"], [1, ""], [1e-3, "m"], [1e-6, "\u00b5"], [1e-9, "n"]];
-  const WINDOW = 20, EXPORTS = [".csv", ".parquet", ".mat", ".mcap", ".xml", ".urdf", ".sdf", ".h", ".json"], PAGE = 50;
-  const at = (id) => document.getElementById(id);
+  const WINDOW = 20, PAGE = 50, STEPS = ["stand", "record", "identify"];
+  const MOST = 5, KEPT = "hil-studio-page", LEAST = 5e7;  // traces at once; what a reload keeps; bytes that a disk must have free
+  const at = (id) => document.getElementById(id), all = (selector) => [...document.querySelectorAll(selector)];
+  const ask = Link.ask, { engineering } = Plots, { moving } = Band, form = at("excitation"), draft = at("draft");
   const plots = {
-    torque: new Plots.Time("torque-plot", "torque [N m]", ["set-point", "torque"]),
-    dtheta: new Plots.Time("dtheta-plot", "deflection [rad]", ["deflection"]),
-    loop: new Plots.Loop("loop-plot"),
-    trace: new Plots.Time("trace-plot", "torque [N m]", ["torque"], chooseWindow),
-    overlay: new Plots.Loop("overlay-plot"),
+    torque: new Plots.Time("torque-plot", "Set-point and torque stand here, predicted before a run and measured during it.", "torque [N m]", "N m", zoom),
+    dtheta: new Plots.Time("dtheta-plot", "The deflection stands here.", "deflection [rad]", "rad", zoom),
+    loop: new Plots.Loop("loop-plot", "Torque over deflection stands here: its slope is Kc, its width comes from Bc."),
+    trace: new Plots.Time("trace-plot", "Choose a recording in the list: its torque stands here.", "torque [N m]", "N m", chooseWindow),
+    overlay: new Plots.Loop("overlay-plot", "Its torque over deflection stands here."),
   };
-  let table = { stands: [], recordings: [], profiles: {} }, first = 0;
-  let job = null, awaited = 0, store = null, drawing = 0, pressed = false, link = null, lost = false, agree = null;
-  let finished = -1, output = "", predicting = 0, timer = 0, traced = "", listed = "", began = 0;
+  let table = { stands: [], recordings: [], profiles: {} }, first = 0, picked = [], step = "stand", chosenStand = "sim";
+  let job = null, store = null, drawing = 0, showsRun = false, agree = null, finished = -1, output = "", predicting = null, timer = 0, traced = "", began = 0, shownReport = "", isFull = false;
 
   // ---- small things
   function make(kind, text, more) {
@@ -21,76 +21,99 @@
     if (text !== undefined) one.textContent = text;
     return Object.assign(one, more || {});
   }
-
-  function engineering(value, unit, figures) {
-    if (value === null || value === undefined || !Number.isFinite(value)) return "\u2013";
-    const [factor, prefix] = value === 0 ? [1, ""] : PREFIXES.find(([one]) => Math.abs(value) >= 0.9995 * one) || PREFIXES[PREFIXES.length - 1];
-    return `${(value / factor).toPrecision(figures || 3).replace("-", "\u2212")} ${prefix}${unit}`;
-  }
-
   function pairs(place, entries) {
-    place.replaceChildren(...entries.map(([name, value]) => { const one = make("div"); one.append(make("dt", name), make("dd", value)); return one; }));
+    place.replaceChildren(...entries.map(([name, value, note]) => { const one = make("div"); one.append(make("dt", name), make("dd", value)); if (note) one.append(make("dd", note, { className: "soft" })); return one; }));
   }
+  function say(text) { at("banner").textContent = plain(text); at("banner").hidden = !text; }
 
-  function say(text) { at("banner").textContent = text; at("banner").hidden = !text; }
-
-  async function ask(path, sent) {
-    const answer = await fetch(path, sent === undefined ? {} : { method: "POST", body: JSON.stringify(sent), headers: { "content-type": "application/json" } });
-    const isJson = (answer.headers.get("content-type") || "").startsWith("application/json");
-    const given = isJson ? await answer.json() : answer.ok ? await answer.arrayBuffer() : { refused: await answer.text() };
-    if (!answer.ok) throw new Error(given.refused || `the server answered ${answer.status}`);
-    return given;
+  // Return a command's message in the words of this page: fields in place of options of the command line.
+  function plain(text) {
+    const named = (name) => { const field = all("main [name]").find((one) => one.name === name), label = field && field.parentElement.firstChild.textContent.trim(); return label ? `\u201c${label}\u201d` : null; };
+    return Band.bare(text)
+      .replace(/(add )?--set[= ]([\w.]+)=\S*/g, (whole, _, key) => (named(key) ? `fill in ${named(key)}` : whole))
+      .replace(/^([\w.]+):/, (whole, key) => (named(key) ? `${named(key)}:` : whole))
+      .replace(/--([a-z]+)\b(?!=)/g, (whole, name) => named(name) || whole); // --name=value is of a command line
   }
-
   async function trying(work) {
     try { say(""); return await work(); } catch (error) { say(error.message); return null; }
   }
 
-  const starting = () => awaited > (job ? job.number : 0);  // the command's number, unknown until the server has answered
-  const moving = () => starting() || Boolean(job && job.moves && job.status === null);
-  const stand = () => table.stands.find((one) => one.file === chosenStand()) || table.stands[0];
-  const chosenStand = () => { const one = document.querySelector("#stands input:checked"); return one ? one.value : "sim"; };
-  const chosen = () => [...document.querySelectorAll("#recordings input:checked")].map((one) => one.value);
+  const stand = () => table.stands.find((one) => one.file === chosenStand && !one.wrong) || table.stands[0];
+  const fields = (one) => Object.fromEntries(new FormData(one));
+  const title = (key) => { const [group, name] = key.split("."), words = name.replaceAll("_", " "); return `${words[0].toUpperCase()}${words.slice(1)}${group === "limits" ? " limit" : ""}`; };
+  const share = (value) => (value === null ? "not identifiable" : `${(100 * value).toPrecision(2)} %`);
+  const torqueMode = () => form.elements.mode.value === "torque";
+  function fill(values) { for (const [name, value] of Object.entries(values)) if (form.elements[name]) form.elements[name].value = value; }
+  function later(work) { clearTimeout(timer); timer = setTimeout(work, 250); }
+  function clearSaid() { at("said").replaceChildren(); say(""); }
 
-  // ---- the three steps
-  function go(step) {
-    for (const one of ["stand", "record", "identify"]) at(one).hidden = one !== step;
-    document.querySelectorAll("nav button").forEach((one) => { if (one.dataset.step === step) one.setAttribute("aria-current", "step"); else one.removeAttribute("aria-current"); });
-    if (step === "record") { at("chosen").textContent = stand().name; predict(); }
-    if (step === "identify") refresh();
+  // ---- the three steps, and what a reload keeps
+  function keep() { sessionStorage.setItem(KEPT, JSON.stringify({ step, stand: chosenStand, form: fields(form), picked, find: at("find").value, first })); }
+
+  function go(to, isBack) {
+    if (to !== step) clearSaid();
+    step = to;
+    if (!isBack && location.hash !== `#${to}`) history.pushState(null, "", `#${to}`);
+    for (const one of STEPS) at(one).hidden = one !== to;
+    all("nav button").forEach((one) => { if (one.dataset.step === to) one.setAttribute("aria-current", "step"); else one.removeAttribute("aria-current"); });
+    if (to === "record") { at("chosen").textContent = stand().name; if (!moving()) predict(0); }
+    if (to === "identify") { trying(refresh); trace(); }
+    if (to !== "record") idleLimits();
     Object.values(plots).forEach((one) => one.draw());
+    keep();
+    line();
   }
-
   async function refresh() {
     table = await ask(`/api/folder?first=${first}&find=${encodeURIComponent(at("find").value)}`);
     at("folder").textContent = table.folder;
     showStands();
     showRecordings();
-    const profile = at("excitation").elements.profile;
-    if (!profile.length) at("draft").elements.backend.append(...table.drives.map((name) => make("option", name)));
-    if (!profile.length) profile.append(...Object.keys(table.profiles).map((name) => make("option", name, { value: name, selected: name === "chirp" })));
+    if (form.elements.profile.length) return;
+    draft.elements.backend.append(...table.drives.map((name) => make("option", name)));
+    form.elements.profile.append(...Object.keys(table.profiles).map((name) => make("option", name, { value: name, selected: name === "chirp" })));
+  }
+  function showSpace(free) {
+    isFull = free < LEAST;
+    at("space").textContent = isFull ? `The disk is full (${engineering(free, "B", 2)} free): a run cannot be recorded. Remove files first.` : `${engineering(free, "B", 2)} free on the disk`;
+    at("space").className = isFull ? "error" : "soft";
+  }
+  function idleLimits() {
+    const { limits } = stand();
+    if (!moving()) Band.limits(limits ? [["torque", null, limits.torque, "N m"], ["deflection", null, limits.deflection, "rad"], ["velocity", null, limits.velocity, "rad/s"]] : [], "limits of the stand");
   }
 
+  // ---- stands
   function showStands() {
-    const before = chosenStand();
-    const lines = table.stands.map((one) => {
-      const label = make("label"), input = make("input", undefined, { type: "radio", name: "stand", value: one.file, disabled: Boolean(one.wrong), checked: one.file === before });
-      const limits = one.limits ? `; limits ${engineering(one.limits.torque, "N m")}, ${engineering(one.limits.deflection, "rad")}, ${engineering(one.limits.velocity, "rad/s")}` : "";
-      label.append(input, ` ${one.name} `, make("span", one.wrong || `(${one.file === "sim" ? "" : one.file + ", "}${[one.backend, one.place].filter(Boolean).join(" at ")}${limits})`, { className: one.wrong ? "error" : "soft" }));
+    at("stands").replaceChildren(at("stands").firstElementChild, ...table.stands.map((one) => {
+      const label = make("label"), input = make("input", undefined, { type: "radio", name: "stand", value: one.file, disabled: Boolean(one.wrong), checked: one.file === stand().file });
+      label.append(input, ` ${one.name} `, make("span", one.wrong ? plain(one.wrong) : one.file === "sim" ? "needs no drive" : `${one.file}, ${[one.backend, one.place].filter(Boolean).join(" at ")}`, { className: one.wrong ? "error" : "soft" }));
       return label;
-    });
-    at("stands").replaceChildren(at("stands").firstElementChild, ...lines);
-    showMoves();
+    }));
+    at("no-stand").hidden = table.stands.length > 1;
+    showStand();
   }
-
-  function showMoves() { at("move").disabled = at("commission").disabled = stand().simulated; }
-
+  function showStand() {
+    const one = stand();
+    at("stand-name").textContent = one.name;
+    at("place").textContent = one.simulated ? "A joint with known Kc and Bc: no motor moves." : [one.backend, one.place].filter(Boolean).join(" at ");
+    at("move").disabled = at("commission").disabled = one.simulated;
+    if (step !== "record") idleLimits();
+  }
+  function chooseStand(file) {
+    chosenStand = file;
+    at("checks").replaceChildren();
+    at("reading").hidden = true;
+    at("unchecked").hidden = false;
+    clearSaid();
+    showStand();
+    keep();
+    line();
+  }
   async function askAboutDrive() {
-    const form = at("draft"), backend = form.elements.backend.value;
-    const found = backend ? await ask(`/api/questions?backend=${backend}`) : [];
-    form.replaceChildren(...[...form.children].slice(0, 2), ...found.map((one) => {
-      const label = make("label", `${one.key} `), list = make("datalist", undefined, { id: `known-${one.key}` });
-      const field = make("input", undefined, { name: one.key, autocomplete: "off", placeholder: one.default === null ? "needed" : String(one.default) });
+    const backend = draft.elements.backend.value, found = backend ? await ask(`/api/questions?backend=${backend}`) : [];
+    draft.replaceChildren(...[...draft.children].slice(0, 2), ...found.map((one) => {
+      const label = make("label", `${title(one.key)} `), list = make("datalist", undefined, { id: `known-${one.key}` });
+      const field = make("input", undefined, { name: one.key, autocomplete: "off", required: one.default === null, placeholder: one.default === null ? "needed" : String(one.default) });
       list.append(...one.known.map((text) => make("option", text, { value: text.split(" (")[0] })));
       field.setAttribute("list", list.id);
       label.append(field, make("small", one.meaning, { className: "soft" }), list);
@@ -99,315 +122,327 @@
   }
 
   function writeStand() {
-    const { backend, file, ...answers } = Object.fromEntries(new FormData(at("draft")));
-    begin({ kind: "stand", backend, file, answers });
-  }
-
-  function takeBest({ kind, mode, amplitude, duration, band_low: low, band_high: high }) {
-    const fields = at("excitation").elements;
-    const best = { profile: kind, mode, amplitude, duration, band: low === high ? low : `${low}:${high}` };
-    for (const [name, value] of Object.entries(best)) fields[name].value = value;
-    predict();
-  }
-
-  function showRecordings() {
-    const kept = chosen(), entries = JSON.stringify(table.recordings);
-    if (entries !== listed) at("recordings").replaceChildren(...table.recordings.map((one) => {  // else a click or the focus would be lost
-      const row = make("tr"), label = make("label"), report = make("td");
-      label.append(make("input", undefined, { type: "checkbox", value: one.file, checked: kept.includes(one.file), ariaLabel: `choose ${one.file}` }));
-      if (one.report) report.append(make("button", "Show", { type: "button", ariaLabel: `show the report of ${one.file}`, onclick: () => showReport(one.report) }));
-      const cells = [make("td"), make("td", one.file), make("td", new Date(1000 * one.changed).toLocaleString()), make("td", one.answer || "not identified"), report];
-      cells[0].append(label);
-      row.append(...cells);
-      return row;
-    }));
-    listed = entries;
-    const last = Math.min(first + PAGE, table.count);
-    at("count").textContent = table.count ? `${first + 1} to ${last} of ${table.count}, newest first` : "no recording yet";
-    at("newer").disabled = first === 0;
-    at("older").disabled = last >= table.count;
+    const { backend, file, ...answers } = fields(draft), empty = [...draft.elements].find((one) => one.required && !one.value.trim());
+    for (const one of draft.elements) one.ariaInvalid = one === empty ? "true" : null;
+    if (!empty) { begin({ kind: "stand", backend, file, answers }); return; }
+    say(empty.name === "backend" ? "Choose a drive first." : `Fill in \u201c${title(empty.name)}\u201d: it has no default.`);
+    empty.focus();
   }
 
   // ---- commands
-  async function begin(wanted) {
+  const wanted = {
+    record: () => ({ kind: "record", stand: stand().file, ...fields(form) }),
+    stand: () => ({ kind: "doctor", stand: stand().file }),
+    identify: () => (picked.length > 1 ? { kind: "compare", recordings: picked } : { kind: "identify", recordings: picked, from: at("from").value, to: at("to").value }),
+  };
+  // Show the command line that a click on the main button of the step would run, where it is unfolded.
+  async function line() {
+    const place = document.querySelector(`#${step} .line`);
+    if (!place.open) return;
+    const found = await ask("/api/line", wanted[step]()).catch((error) => ({ command: plain(error.message) }));
+    place.querySelector("code").textContent = found.command;
+  }
+
+  async function begin(one) {
     if (moving()) return;
-    const moves = ["record", "doctor"].includes(wanted.kind) && wanted.stand !== "sim" || wanted.kind === "record";
-    awaited = moves ? Infinity : 0;
+    const moves = one.kind === "record" || one.kind === "doctor" && one.stand !== "sim";
+    if (moves && Band.alarmed()) { say("Read the red message first, and say that you have read it."); at("read").focus(); return; }
     began = performance.now();
-    pressed = false;
-    showReport("");  // its frame would take the keys that stop
-    const answer = await trying(() => ask("/api/start", wanted));
-    awaited = answer && moves ? answer.number : 0;
-    if (!answer) pressed = false;
-    showState();
+    clearSaid();
+    showReport("");
+    at("result").hidden = true;
+    if (moves) { clearTimeout(timer); Band.begun(true); }
+    const answer = await trying(() => ask("/api/start", one));
+    Band.begun(answer && moves ? answer.number : 0);
   }
-
-  function start() {
-    const form = Object.fromEntries(new FormData(at("excitation"))), one = stand();
-    const wanted = { kind: "record", stand: one.file, ...form };
-    if (one.simulated) { begin(wanted); return; }
-    const words = one.asked.replace("{size}", form.amplitude || "a fifth of the limit").replace("{time}", form.duration || "20 s");
-    question(words, () => begin({ ...wanted, yes: true }));
+  async function start() {
+    const one = stand(), mine = wanted.record();
+    if (one.simulated) { begin(mine); return; }
+    const found = await predict(0);
+    if (!found || found.refused || JSON.stringify(wanted.record()) !== JSON.stringify(mine)) return;
+    announce(engineering(found.amplitude, torqueMode() ? "N m" : "rad"), engineering(found.duration, "s"), { ...mine, yes: true });
   }
-
-  function move() {
-    const words = stand().asked.replace("{size}", "a twentieth of the limit").replace("{time}", "3 s");
-    question(words, () => begin({ kind: "doctor", stand: chosenStand(), move: true, yes: true }));
-  }
-
+  function move() { announce(engineering(stand().limits.torque / 20, "N m"), "3 s", { kind: "doctor", stand: stand().file, move: true, yes: true }); }
+  function announce(size, time, command) { question(stand().asked.replace("{size}", size).replace("{time}", time), () => begin(command)); }
   function question(text, agreed) {
     at("asked").textContent = `${text}\nWhile it moves, STOP and any key stop it.`;
     agree = agreed;
     at("question").showModal();
-  }
-
-  function stop() {
-    pressed = moving();
-    at("stop").textContent = "STOP sent";
-    const press = String(Math.random());  // the open connection is faster, and the request goes where that one hangs
-    if (link && link.readyState === WebSocket.OPEN) link.send(press);
-    fetch(`/api/stop?press=${press}`, { method: "POST", keepalive: true }).then((answer) => { if (!answer.ok) throw new Error(); return answer.json(); }).then((answer) => {
-      if (!answer.running) at("stop").textContent = "STOP";
-    }).catch(() => say("STOP did not reach hil studio: press Ctrl-C in its terminal, or cut the power of the motor."));
+    at("no").focus();
   }
 
   // ---- what the server tells
-  function connect() {
-    link = new WebSocket(`ws://${location.host}/api/stream`);
-    link.binaryType = "arraybuffer";
-    link.onopen = () => { store = null; if (awaited < Infinity) awaited = 0; if (lost) { lost = false; say(""); } };
-    link.onmessage = ({ data }) => { if (typeof data === "string") told(JSON.parse(data)); else rows(data); };
-    link.onclose = () => {
-      if (moving() || lost) {
-        const left = job && job.live ? ` It ends by itself in about ${Math.ceil(job.live.left)} s.` : "";
-        say(`The connection to hil studio is lost. A run goes on under its guard.${left} To stop it: Ctrl-C in the terminal of hil studio, or the power of the motor.`);
-      } else say("The connection to hil studio is lost. If its terminal was closed, start it again and open the new link.");
-      lost = true;
-      setTimeout(connect, 1000);
-    };
-  }
-
   function rows(data) {
     store = store || new Plots.Store(WINDOW * 10000);
     store.add(Plots.unpacked(data));
-    drawing = drawing || requestAnimationFrame(draw);  // not where nothing is new, nor in a hidden tab
+    if (showsRun) drawing = drawing || requestAnimationFrame(draw);  // not where nothing is new, nor in a hidden tab
   }
 
   function told(state) {
+    showSpace(state.free);
+    Band.told(state);
+    if (!state.number) return;
     if (!job && state.status !== null) finished = state.number;  // it ended before this page was opened
     else if (!job || job.number !== state.number) {
-      if (pressed && !state.stops && state.status === null) stop();  // the first one came before the command
       store = null;
-      pressed = false;
-      if (state.moves) showReport("");
-      if (state.kind === "record") { plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); }
+      if (state.kind === "record") { showsRun = true; zoom(); at("figures").replaceChildren(); plots.torque.clear(); plots.dtheta.clear(); plots.loop.clear(); go("record"); }
     }
     job = state;
-    if (!starting()) { awaited = 0; pressed = pressed && job.status === null; }
-    showState();
     if (job.number === finished && job.status !== null) return;
-    at("said").replaceChildren(...job.said.map((one) => make("li", one, { className: job.status && !job.stops ? "error" : "" })));
+    const bad = job.status && !job.stops;
+    at("said").replaceChildren(...(job.kind === "record" && !job.status || ["design", "identify", "compare"].includes(job.kind) && !bad ? [] : job.said).map((one) => make("li", plain(one), { className: bad ? "error" : "soft" })));
     if (job.kind === "record") showRun();
     if (job.kind === "readings") showReading();
     if (job.kind === "doctor") showChecks();
-    if (job.kind === "design" && job.status === null) at("predicted").textContent = job.said[job.said.length - 1] || "searching ...";
+    if (job.kind === "design" && job.status === null) at("predicted").textContent = plain(job.said[job.said.length - 1] || "searching ...");
     const busy = job.status === null && ["identify", "compare", "export"].includes(job.kind);
     at("progress").hidden = !busy;
-    if (busy) at("progress").lastElementChild.textContent = `${job.said[job.said.length - 1] || job.command} (${Math.round((performance.now() - began) / 1000)} s)`;
-    if (job.status !== null && finished !== job.number) { finished = job.number; ended(); }
+    if (busy) at("progress").lastElementChild.textContent = `${plain(job.said[job.said.length - 1] || job.command)} (${Math.round((performance.now() - began) / 1000)} s)`;
+    if (job.status !== null && finished !== job.number) { finished = job.number; ended(bad); }
   }
 
-  function showState() {
-    const live = job && job.live;
-    const names = { record: "Recording", doctor: "Checking the stand", readings: "Reading at rest", identify: "Identifying", compare: "Comparing", export: "Exporting", design: "Searching the best excitation", stand: "Writing the stand file" };
-    let text = "Nothing moves.";
-    if (starting()) text = "Starting. Any key stops.";
-    else if (job && job.status === null) text = names[job.kind] + (moving() ? (live ? `, ${Math.ceil(live.left)} s left. Any key stops.` : ". Any key stops.") : "");
-    if (!starting() && job && job.moves && job.stops) text = job.off_after !== null ? `Torque off after ${Math.round(1000 * job.off_after)} ms.` : job.status === null ? "Stopping ..." : "Stopped.";
-    if (at("state").textContent !== text) at("state").textContent = text;
-    at("stop").textContent = job && job.status === null && job.stops ? "STOP sent" : "STOP";
-    document.body.dataset.moving = moving() ? "yes" : "no";
-    at("start").disabled = moving();
-  }
+  Band.onChange((moves) => {
+    all("[data-still]").forEach((one) => { one.inert = moves; });
+    if (!moves) return;
+    if (at("question").open) at("question").close();  // STOP must not lie behind it
+    if (shownReport) showReport("");  // its frame would take the keys that stop
+  }, plain);
 
   function showRun() {
-    const live = job.live;
+    const { live } = job;
     at("to-identify").hidden = true;
     at("predicted").textContent = "";
     if (!live) return;
-    const [kc, bc] = live.estimate || [null, null];
-    pairs(at("figures"), [
-      ["time left", `${live.left.toFixed(1)} s`], ["rate", `${live.rate === null ? "\u2013" : live.rate.toFixed(0)} of ${live.planned.toFixed(0)} Hz`],
-      ["set-points late by (99 %)", engineering(live.lateness, "s")], ["late ticks", String(live.late)], ["lost replies", String(live.lost)],
-      ["Kc so far", engineering(kc, "N m/rad")], ["Bc so far", engineering(bc, "N m s/rad")],
-    ]);
-    showLimits(live.margins.map((one) => [one.name, one.reading, one.limit, one.unit]));
+    const [kc, bc] = live.estimate || [null, null], rate = `${live.rate === null ? "\u2013" : live.rate.toFixed(0)} of ${live.planned.toFixed(0)} Hz`;
+    pairs(at("figures"), [["Kc so far", engineering(kc, "N m/rad")], ["Bc so far", engineering(bc, "N m s/rad")], ["rate", rate],
+      ["late by (99 %)", engineering(live.lateness, "s")], ["late ticks", String(live.late)], ["lost replies", String(live.lost)]]);
   }
-
-  function showLimits(limits) {
-    at("limits").replaceChildren(...limits.map(([name, reading, limit, unit]) => {
-      const line = make("li"), words = `${name}: ${engineering(reading, unit)} of ${engineering(limit, unit)}, ${Math.round(100 * (1 - reading / limit))} % left`;
-      line.append(words, make("meter", undefined, { min: 0, max: 1, low: 0.7, high: 0.9, optimum: 0, value: reading / limit, ariaLabel: words }));
-      return line;
-    }));
-  }
-
   function showReading() {
-    const one = job.answer, shown = at("reading");
-    shown.hidden = !one;
-    if (!one) return;
-    if (one.lost) pairs(shown, [["reading", one.lost]]);
-    else pairs(shown, [["motor", engineering(one.motor, "rad", 4)], ["joint", engineering(one.joint, "rad", 4)], ["torque at the joint", engineering(one.torque, "N m")], ["winding", one.temperature === null ? "\u2013" : `${one.temperature.toFixed(0)} \u00b0C`]]);
+    const one = job.answer;
+    at("reading").hidden = !one;
+    if (one) pairs(at("reading"), one.lost ? [["reading", one.lost]] : [["motor", engineering(one.motor, "rad", 4)], ["joint", engineering(one.joint, "rad", 4)], ["torque at the joint", engineering(one.torque, "N m")], ["winding", one.temperature === null ? "\u2013" : `${one.temperature.toFixed(0)} \u00b0C`]]);
   }
 
   function showChecks() {
     const found = job.answer;
+    at("unchecked").hidden = true;
     if (!found) { at("checks").replaceChildren(); return; }
     const lines = found.checks.map((one) => [one.verdict, one.name, one.message]);
     if (found.commissioning) lines.unshift([found.commissioning.ok ? "ok" : "error", "commissioning", found.commissioning.verdict]);
     if (!lines.length) for (const kind of ["serial", "can"]) for (const one of found.ports[kind]) lines.push([one.problem ? "error" : "ok", one.name, one.problem || one.described || "can be used"]);
     if (!lines.length) lines.push(["ok", "simulated stand", "nothing to check; this computer has no serial port and no CAN interface"]);
-    at("checks").replaceChildren(...lines.map(([verdict, name, message]) => { const line = make("li", undefined, { className: verdict }); line.append(make("b", verdict), ` ${name}: ${message}`); return line; }));
+    at("checks").replaceChildren(...lines.map(([verdict, name, message]) => { const one = make("li", undefined, { className: verdict }); one.append(make("b", verdict), ` ${name}: ${plain(message)}`); return one; }));
   }
 
-  function ended() {
-    const bad = job.status !== 0 && !job.stops;
+  function ended(bad) {
     const asks = job.kind === "doctor" && job.status === 2 && !job.answer && job.command.includes("--commission") && !job.command.includes("--yes");
-    const words = job.said.filter((one) => !one.startsWith("nothing was driven") && !one.startsWith("hil: nothing was driven"));
-    if (asks) { question(words.join("\n"), () => begin({ kind: "doctor", stand: chosenStand(), commission: true, yes: true })); at("said").replaceChildren(); return; }
+    const words = job.said.map(Band.bare).filter((one) => !one.startsWith("nothing was driven"));
+    if (asks) { question(words.join("\n"), () => begin({ kind: "doctor", stand: stand().file, commission: true, yes: true })); at("said").replaceChildren(); return; }
+    if (bad && !job.said.length && !job.answer) say(`hil ${job.kind} ended with status ${job.status} and said nothing${isFull ? ": the disk is full" : ". Run its command line in a terminal, and look whether the disk is full"}.`);
+    if (job.kind === "record") { trying(refresh); idleLimits(); }
     if (job.kind === "record" && job.answer && job.answer.recording) {
       output = job.answer.recording;
       at("to-identify").hidden = false;
       at("predicted").textContent = `${output}: ${job.answer.samples} samples, ${job.answer.lost} lost, ${job.answer.late} late (${job.answer.end_reason})`;
-      at("to-identify").focus();
+      if (step === "record") at("to-identify").focus();
     }
-    if (job.kind === "stand" && job.status === 0) trying(refresh).then(() => { document.querySelector(`#stands [value="${CSS.escape(job.output)}"]`).checked = true; showMoves(); at("new").open = false; });
+    if (job.kind === "stand" && job.status === 0) trying(refresh).then(() => { chooseStand(job.output); showStands(); at("new").open = false; });
     if (job.kind === "design") { at("predicted").textContent = ""; if (job.answer) takeBest(job.answer.profiles.best.profile); }
-    if (["identify", "compare"].includes(job.kind)) { trying(refresh); if (job.answer) showReport(job.output); }
-    if (job.kind === "export" && job.status === 0) Object.assign(at("exported"), { textContent: `save ${job.output}`, href: `/api/file?name=${encodeURIComponent(job.output)}`, hidden: false });
-    if (bad && !job.answer) at("said").scrollIntoView({ block: "nearest" });
+    if (["identify", "compare"].includes(job.kind)) { if (job.answer) { showResult(job.answer); showReport(job.output); } trying(refresh); }
+    if (job.kind === "export" && job.status === 0) Link.address("file", job.output).then((href) => Object.assign(at("exported"), { textContent: `save ${job.output}`, href, hidden: false }));
+    line();
   }
-
   function draw() {
     drawing = 0;
-    if (store) {
-      const { planned: rate, mode } = (job && job.live) || { planned: 500 }, [time, command, torque, dtheta] = store.newest(Math.ceil(WINDOW * rate));
-      const byTorque = mode !== "position";
-      plots.torque.show(byTorque ? [time, command, torque] : [time, torque], byTorque ? ["set-point", "torque"] : ["torque"]);
-      plots.dtheta.show(byTorque ? [time, dtheta] : [time, command, dtheta], byTorque ? ["deflection"] : ["set-point", "deflection"]);
-      const few = Math.min(time.length, 4 * plots.loop.width), from = time.length - few;
-      plots.loop.show([[dtheta.subarray(from), torque.subarray(from)]]);
-    }
+    if (!store || !showsRun) return;
+    const { planned: rate, mode } = (job && job.live) || { planned: 500 }, [time, command, torque, dtheta] = store.newest(Math.ceil(WINDOW * rate));
+    const byTorque = mode !== "position";
+    plots.torque.show(byTorque ? [time, torque, command] : [time, torque], byTorque ? ["torque", "set-point"] : ["torque"]);
+    plots.dtheta.show(byTorque ? [time, dtheta] : [time, dtheta, command], byTorque ? ["deflection"] : ["deflection", "set-point"]);
+    const few = Math.min(time.length, 4 * plots.loop.width), from = time.length - few;
+    plots.loop.show([[dtheta.subarray(from), torque.subarray(from)]]);
+  }
+  function zoom(low, high) {
+    for (const one of [plots.torque, plots.dtheta]) one.zoom(low === undefined ? null : [low, high]);
+    at("whole").disabled = low === undefined;
   }
 
   // ---- the preview of a run
-  function predict() {
-    const form = Object.fromEntries(new FormData(at("excitation")));
-    at("explained").textContent = table.profiles[form.profile] || "";
+  function predict(wait) {
     clearTimeout(timer);
-    if (moving()) return;
-    timer = setTimeout(async () => {
-      predicting += 1;
-      const mine = predicting;
-      at("predicted").textContent = "predicting ...";
-      const found = await ask("/api/preview", { stand: chosenStand(), ...form }).catch((error) => ({ refused: error.message }));
-      if (mine !== predicting || moving() || store) return;
-      at("predicted").textContent = found.refused || found.said || `predicted standard errors: Kc ${share(found.errors.Kc)}, Bc ${share(found.errors.Bc)}; amplitude ${engineering(found.amplitude, form.mode === "torque" ? "N m" : "rad")}, ${found.duration} s`;
-      if (found.refused) return;
-      showLimits(Object.entries(found.limits).map(([name, one]) => [`predicted ${name}`, one.peak, one.limit, one.unit]));
-      const { time, command, torque, dtheta } = found.curves, isTorque = form.mode !== "position";
-      const lines = [...(isTorque ? [["set-point", command]] : []), ...(torque ? [["predicted torque", torque]] : [])];
-      if (lines.length) plots.torque.show([time, ...lines.map((one) => one[1])], lines.map((one) => one[0])); else plots.torque.clear();
-      if (dtheta || !isTorque) plots.dtheta.show([time, dtheta || command], [dtheta ? "predicted deflection" : "set-point"]); else plots.dtheta.clear();
-      if (dtheta) plots.loop.show([[dtheta, torque]]); else plots.loop.clear();
-    }, 300);
+    at("explained").textContent = table.profiles[form.elements.profile.value] || "";
+    if (moving()) return Promise.resolve(null);
+    showsRun = false;
+    at("to-identify").hidden = true;
+    at("predicted").textContent = "predicting ...";
+    at("predicted").className = "";
+    const mine = predicting = new Promise((done) => { timer = setTimeout(done, wait); })
+      .then(() => ask("/api/preview", { stand: stand().file, ...fields(form) })).catch((error) => ({ refused: error.message }))
+      .then((found) => { if (mine !== predicting || moving()) return null; showPrediction(found); return found; });
+    return mine;
   }
 
-  const share = (value) => (value === null ? "not identifiable" : `${(100 * value).toPrecision(2)} %`);
+  function showPrediction(found) {
+    at("predicted").textContent = plain(found.refused || found.said || `predicted standard errors: Kc ${share(found.errors.Kc)}, Bc ${share(found.errors.Bc)}; amplitude ${engineering(found.amplitude, torqueMode() ? "N m" : "rad")}, ${found.duration} s`);
+    at("predicted").className = found.refused ? "error" : "";
+    at("rough").open = at("rough").open || Boolean(found.said);
+    at("figures").replaceChildren();
+    if (found.refused) return;
+    const limits = Object.entries(found.limits).map(([name, one]) => [name, one.peak, one.limit, one.unit]);
+    if (limits.length) Band.limits(limits, "predicted, in per cent of the limits"); else idleLimits();
+    const { time, command, torque, dtheta } = found.curves, isTorque = torqueMode();
+    const lines = [...(torque ? [["predicted torque", torque]] : []), ...(isTorque ? [["set-point", command]] : [])];
+    zoom();
+    if (lines.length) plots.torque.show([time, ...lines.map((one) => one[1])], lines.map((one) => one[0])); else plots.torque.clear();
+    if (dtheta || !isTorque) plots.dtheta.show([time, dtheta || command], [dtheta ? "predicted deflection" : "set-point"]); else plots.dtheta.clear();
+    if (dtheta) plots.loop.show([[dtheta, torque]]); else plots.loop.clear();
+  }
+  function takeBest({ kind, mode, amplitude, duration, band_low: low, band_high: high }) {
+    fill({ profile: kind, mode, amplitude, duration, band: low === high ? low : `${low}:${high}` });
+    predict(0);
+    keep();
+  }
 
   // ---- recordings
+  function showRecordings() {
+    const entries = JSON.stringify(table.recordings);
+    if (entries !== at("recordings").listed) at("recordings").replaceChildren(...table.recordings.map((one) => {  // else a click or the focus would be lost
+      const row = make("li"), label = make("label");
+      label.append(make("input", undefined, { type: "checkbox", value: one.file, ariaLabel: `choose ${one.file}` }), make("b", one.file));
+      row.append(label, make("span", one.answer || "not identified", { className: one.answer ? "answer" : "soft" }), make("span", new Date(1000 * one.changed).toLocaleString(), { className: "soft" }));
+      if (one.report) row.append(make("button", "Show", { type: "button", ariaLabel: `show the report of ${one.file}`, onclick: () => { at("result").hidden = true; showReport(one.report); } }));
+      return row;
+    }));
+    at("recordings").listed = entries;
+    const last = Math.min(first + PAGE, table.count);
+    at("count").textContent = table.count ? `${first + 1} to ${last} of ${table.count}, newest first` : "no recording";
+    at("no-recording").hidden = table.count > 0 || at("find").value !== "";
+    at("newer").disabled = first === 0;
+    at("older").disabled = last >= table.count;
+    showPicked();
+  }
+
+  // The choice is kept apart from the list, which shows only a part of the recordings.
+  function pick(names) {
+    picked = names;
+    showReport("");
+    at("result").hidden = at("exported").hidden = true;
+    clearSaid();
+    showPicked();
+    keep();
+    trace();
+    line();
+  }
+  function showPicked() {
+    all("#recordings input").forEach((one) => { one.checked = picked.includes(one.value); });
+    at("picked").replaceChildren(...picked.map((name) => { const one = make("li", name); one.append(make("button", "\u00d7", { type: "button", ariaLabel: `leave out ${name}`, onclick: () => pick(picked.filter((other) => other !== name)) })); return one; }));
+    at("do-identify").disabled = picked.length !== 1;
+    at("compare").disabled = picked.length < 2;
+    at("export").disabled = picked.length !== 1;
+  }
+
   async function trace() {
-    const names = chosen().slice(0, 5);
+    const names = picked.slice(0, MOST);
     if (String(names) === traced) return;
     traced = String(names);
     at("from").value = at("to").value = "";
+    zoomTrace(null);
     if (!names.length) { plots.trace.clear(); plots.overlay.clear(); return; }
     const found = [];
     for (const name of names) {  // one after the other: a browser has few connections, and STOP needs one
-      const data = await ask(`/api/trace?name=${encodeURIComponent(name)}`).catch((error) => { say(error.message); return null; });
-      if (!data) { traced = ""; refresh(); return; }
+      const data = await ask(`/api/trace?name=${encodeURIComponent(name)}`).catch((error) => { pick(picked.filter((one) => one !== name)); say(error.message); return null; });
+      if (!data) { await refresh(); return; }
       found.push(data);
     }
     if (String(names) !== traced) return;
-    const frames = found.map(Plots.unpacked).map(({ begin, channels }) => [Float64Array.from(channels[0], (one) => one + begin), channels[2], channels[3]]);
-    plots.trace.show(joined(frames), names);
+    const frames = found.map(Plots.unpacked).map(({ begin: zero, channels }) => [Float64Array.from(channels[0], (one) => one + zero), channels[2], channels[3]]);
+    const lines = frames.map(([time, torque]) => [Array.from(time), Array.from(torque, (one) => (Number.isFinite(one) ? one : null))]);
+    plots.trace.show(lines.length === 1 ? lines[0] : uPlot.join(lines, lines.map(() => [0, 1])), names);  // over one time; null where a line has no sample
     plots.overlay.show(frames.map(([, torque, dtheta]) => [dtheta, torque]));
   }
 
-  // Lines with times of their own as columns over one time; null where a line has no sample.
-  function joined(frames) {
-    const tables = frames.map(([time, torque]) => [Array.from(time), Array.from(torque, (one) => (Number.isFinite(one) ? one : null))]);
-    return tables.length === 1 ? tables[0] : uPlot.join(tables, tables.map(() => [0, 1]));
+  function chooseWindow(low, high) {
+    [at("from").value, at("to").value] = low === undefined ? ["", ""] : [low.toFixed(3), high.toFixed(3)];
+    if (low === undefined) zoomTrace(null);
+    line();
+  }
+  function zoomTrace(span) { plots.trace.zoom(span); at("zoom").textContent = span ? "Whole trace" : "Zoom to the window"; }
+
+  // ---- the result: first whether it can be trusted, then the numbers
+  function showResult(found) {
+    const wrong = found.errors || [], isComparison = job.kind === "compare", good = wrong.length === 0 && !(job.status && !job.stops);
+    at("result").hidden = false;
+    at("result").className = good ? "good" : "bad";
+    at("trust").textContent = isComparison ? (good ? "The recordings agree" : "The recordings do not agree, or a result is missing") : good ? "Kc and Bc can be trusted" : "Not to be trusted";
+    pairs(at("values"), isComparison ? [] : ["Kc", "Bc"].filter((name) => found.parameters[name]).map((name) => number(name, found.parameters[name], Math.abs(found.parameters.Kc.value) < 1)));
+    const lines = [...wrong.map((one) => ["error", one.message]), ...(found.verdict || []).map((one) => ["", one]), ...(found.warnings || []).map((one) => ["warning", one.message])];
+    if (found.model && !isComparison) lines.push(["soft", `${found.recordings.join(", ")}; model ${found.model}; ${found.samples} samples`]);
+    at("because").replaceChildren(...lines.map(([kind, text]) => { const one = make("li", undefined, { className: kind }); if (kind === "error" || kind === "warning") one.append(make("b", kind), " "); one.append(plain(text)); return one; }));
   }
 
-  function chooseWindow(low, high) { at("from").value = low.toFixed(3); at("to").value = high.toFixed(3); }
+  // Return name, value with the half width of its 95 % interval, both rounded to the interval's first digit, and what is to be noted.
+  function number(name, { value, unit, ci95: interval, identifiable, trusted }, milli) {
+    const half = interval ? (interval[1] - interval[0]) / 2 * (milli ? 1e3 : 1) : NaN, places = half > 0 ? Math.min(12, Math.max(0, -Math.floor(Math.log10(half)))) : 3;
+    const text = `${(value * (milli ? 1e3 : 1)).toFixed(places)}${half > 0 ? ` \u00b1 ${half.toFixed(places)}` : ""} ${milli ? "m" : ""}${unit.replaceAll("*", " ")}`;
+    return [name, text.replace("-", "\u2212"), !identifiable ? "not identifiable" : trusted ? "95 %" : "not to be trusted"];
+  }
 
-  function showReport(name) {
+  async function showReport(name) {
     const place = at("report"), old = place.querySelector("iframe");
+    if (old && document.activeElement === old) at("stop").focus({ preventScroll: true });  // the keys must come to this page
     if (old) old.remove();
-    place.hidden = !name;
-    if (!name) return;
-    const address = `/api/report?name=${encodeURIComponent(name)}`;
-    at("report-link").href = address;
-    place.append(make("iframe", undefined, { src: address, title: `report ${name}`, sandbox: "allow-scripts" }));
-    place.scrollIntoView({ block: "start" });
+    shownReport = moving() ? "" : name;
+    place.hidden = !shownReport;
+    if (!shownReport) return;
+    const src = await Link.address("report", name);
+    if (shownReport !== name || place.querySelector("iframe")) return;
+    place.append(make("iframe", undefined, { src, title: `report ${name}`, sandbox: "allow-scripts" }));
+    (at("result").hidden ? place : at("result")).scrollIntoView({ block: "start" });
   }
-
-  function later(work) { clearTimeout(timer); timer = setTimeout(work, 250); }
 
   // ---- what a person does
+  const find = () => trying(refresh).then(keep);
   const clicks = {
-    start, "to-record": () => go("record"), no: () => at("question").close(),
+    start, move, write: writeStand, "to-record": () => go("record"), no: () => at("question").close(),
     yes: () => { at("question").close(); agree(); },
-    check: () => begin({ kind: "doctor", stand: chosenStand() }),
-    readings: () => begin({ kind: "readings", stand: chosenStand() }),
-    move, write: writeStand, design: () => begin({ kind: "design", stand: chosenStand(), ...Object.fromEntries(new FormData(at("excitation"))) }),
-    commission: () => begin({ kind: "doctor", stand: chosenStand(), commission: true }),
-    "to-identify": async () => { at("find").value = ""; first = 0; go("identify"); await refresh(); document.querySelectorAll("#recordings input").forEach((one) => { one.checked = one.value === output; }); trace(); identify(); },
-    newer: () => { first = Math.max(0, first - PAGE); trying(refresh); }, older: () => { first += PAGE; trying(refresh); },
-    "do-identify": identify, compare: () => begin({ kind: "compare", recordings: chosen() }),
-    export: () => { at("exported").hidden = true; begin({ kind: "export", recordings: chosen(), suffix: at("suffix").value }); },
+    check: () => begin(wanted.stand()),
+    readings: () => begin({ kind: "readings", stand: stand().file }),
+    design: () => begin({ ...wanted.record(), kind: "design" }),
+    commission: () => begin({ kind: "doctor", stand: stand().file, commission: true }),
+    "to-identify": async () => { at("find").value = ""; first = 0; pick([output]); go("identify"); begin(wanted.identify()); },
+    newer: () => { first = Math.max(0, first - PAGE); find(); }, older: () => { first += PAGE; find(); },
+    "do-identify": () => begin(wanted.identify()), compare: () => begin(wanted.identify()), hide: () => showReport(""), "open-report": () => trying(() => Link.openReport(shownReport)), whole: () => zoom(),
+    export: () => { at("exported").hidden = true; begin({ kind: "export", recordings: picked, suffix: at("suffix").value }); },
+    zoom: () => zoomTrace(plots.trace.span || !at("to").value ? null : [Number(at("from").value), Number(at("to").value)]),
   };
-  function identify() { begin({ kind: "identify", recordings: chosen(), from: at("from").value, to: at("to").value }); }
-
   Object.entries(clicks).forEach(([id, act]) => at(id).addEventListener("click", () => act()));
-  document.querySelectorAll("nav button").forEach((one) => one.addEventListener("click", () => go(one.dataset.step)));
-  at("stop").addEventListener("pointerdown", stop);  // a click comes only when the button is let go, a tenth of a second later
-  at("stop").addEventListener("click", (event) => { if (!event.detail) stop(); });  // of a key or a screen reader
-  at("stands").addEventListener("change", showMoves);
-  at("draft").elements.backend.addEventListener("change", () => trying(askAboutDrive));
-  at("excitation").addEventListener("input", predict);
-  at("excitation").addEventListener("submit", (event) => event.preventDefault());
-  at("recordings").addEventListener("change", trace);
-  at("find").addEventListener("input", () => { first = 0; later(() => trying(refresh)); });
-  at("suffix").append(...EXPORTS.map((one) => make("option", one)));
-  window.addEventListener("keydown", (event) => {
-    if (!moving()) return;
-    event.preventDefault();
-    event.stopImmediatePropagation();
-    if (!event.repeat) stop();
-  }, true);
+  all("nav button").forEach((one) => one.addEventListener("click", () => go(one.dataset.step)));
+  all(".line").forEach((one) => one.addEventListener("toggle", line));
+  all(".copy").forEach((one) => one.addEventListener("click", () => navigator.clipboard.writeText(one.previousElementSibling.textContent).then(() => { one.textContent = "Copied"; setTimeout(() => { one.textContent = "Copy"; }, 1500); }, () => getSelection().selectAllChildren(one.previousElementSibling))));
+  at("stands").addEventListener("change", (event) => chooseStand(event.target.value));
+  draft.elements.backend.addEventListener("change", () => trying(askAboutDrive));
+  form.addEventListener("input", () => { predict(300); keep(); line(); });
+  for (const one of [form, draft]) one.addEventListener("submit", (event) => event.preventDefault());
+  at("recordings").addEventListener("change", ({ target }) => pick(target.checked ? [...picked, target.value] : picked.filter((name) => name !== target.value)));
+  at("find").addEventListener("input", () => { first = 0; later(find); });
+  for (const id of ["from", "to"]) at(id).addEventListener("input", line);
+  window.addEventListener("popstate", () => { const to = location.hash.slice(1); if (STEPS.includes(to)) go(to, true); else if (to) location.reload(); });  // a new link
 
   async function enter() {
-    const token = location.hash.slice(1);
-    if (token) {
+    const token = location.hash.slice(1), kept = { find: "", picked: [], stand: "sim", first: 0, ...JSON.parse(sessionStorage.getItem(KEPT) || "{}") }, to = STEPS.includes(token) ? token : kept.step || "stand";
+    let refused = null;
+    ({ picked, first, stand: chosenStand } = kept);
+    at("find").value = kept.find;
+    if (token && !STEPS.includes(token)) {
       history.replaceState(null, "", location.pathname);
-      const refused = await ask("/token", { token }).then(() => null, (error) => error);
-      await refresh().catch((error) => { throw refused || error; });  // a browser that is in already needs no link
-    } else await refresh();
-    document.querySelectorAll("[inert]").forEach((one) => { one.inert = false; });  // no click before there is a stand
-    go("stand");
-    connect();
+      refused = await Link.enter(token).then(() => null, (error) => error);
+    }
+    await refresh().catch((error) => { throw refused || error; });  // a browser that is in already needs no link
+    fill(kept.form || {});
+    history.replaceState(null, "", `#${to}`);
+    all("[inert]").forEach((one) => { one.inert = false; });  // no click before there is a stand
+    go(to);
+    Link.listen({ opened() { store = null; if (Band.opened()) refresh().catch(() => null); }, state: told, rows, closed: Band.closed });
   }
   enter().catch((error) => say(error.message));
 })();

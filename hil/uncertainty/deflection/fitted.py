@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.coupling import lag_of
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.signals.constants import CLIPPED, CORRECTED, NORMAL, SPREAD, SURE, TESTED
@@ -43,8 +43,7 @@ class Fitted:
         """Return the fit on consecutive samples from the middle of the recording."""
         whole, places = self.motion.whole
         first = max(0, (len(whole) - TESTED) // 2)
-        motion = replace(whole.of(slice(first, first + TESTED)), part_of=None)
-        motion = replace(motion, starts=tuple(sorted({0, *(at for at in motion.starts if at < len(motion))})))
+        motion = whole.alone(slice(first, first + TESTED))
         rows = np.arange(len(whole))[places] - first
         inside = (rows >= 0) & (rows < len(motion))
         if self.motion.part_of is not None:  # a slow cell's readings are far apart: what is between them is needed
@@ -76,7 +75,7 @@ def linearised(model: SeparableModel, motion: Motion, genes: Array, nonlinear: A
     """Return the derivatives (n, p + q) of the torque with respect to genes (p,) and nonlinear parameters (q,), for a
     motion (n,).
     """
-    lag = max(0.0, float(genes[1] / genes[0])) if model.needs_ratio and genes[0] > 0.0 else 0.0
+    lag = lag_of(*genes[:2].tolist()) if model.needs_ratio else 0.0
     columns = model.columns(motion, nonlinear, lag)
     return np.concatenate([columns, model.jacobian(motion, nonlinear, genes, lag)], axis=1)
 
@@ -94,7 +93,7 @@ def behind(window: Window, motion: Motion, readings: Array) -> tuple[Array, Arra
     window.
     """
     found = np.zeros((3, len(motion)))
-    for part in stretches(motion):
+    for part in motion.pieces:
         if window.low_pass is not None or part.stop - part.start > 2 * window.widest:
             found[:, part] = window.moved(motion.time[part], readings[part])
     value, slope, curvature = np.nan_to_num(found)
@@ -111,13 +110,8 @@ def sampled(motion: Motion) -> Motion:
     if motion.part_of is None:
         return motion
     whole = motion.whole[0]
-    ends = [(whole.time[one.start], whole.time[one.stop - 1], one.stop - one.start) for one in stretches(whole)]
+    ends = [(whole.time[one.start], whole.time[one.stop - 1], one.stop - one.start) for one in whole.pieces]
     return replace(whole, time=np.concatenate([np.linspace(first, last, count) for first, last, count in ends]))
-
-
-def stretches(motion: Motion) -> list[slice]:
-    """Return the samples of each piece of a motion."""
-    return [slice(first, last) for first, last in pairwise([*motion.starts, len(motion)]) if last > first]
 
 
 def moved(motion: Motion, more: tuple[Array, Array, Array]) -> Motion:

@@ -17,7 +17,7 @@ from ga.model.trajectory import Motion
 from hil.signals.constants import BLOCKS, DELAYS, NORMAL
 from hil.signals.rate.windows import Window
 from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
-from hil.uncertainty.effects import Recorded
+from hil.uncertainty.effects import delayed
 
 Array = NDArray[np.float64]
 
@@ -56,9 +56,8 @@ def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.b
     The filter is fitted to the motion at the samples in `sound` (n,).
     """
     unit = 1.0 / (8.0 * window.band[1])
-    recorded = Recorded(motion.time, motion.known, motion.dtheta, motion.dtheta_dot, motion.starts)
     parts = behind(window, motion, command - command.mean())
-    value, *rates = (np.stack([recorded.delayed(one, lag * unit) for lag in DELAYS], axis=1) for one in parts)
+    value, *rates = (np.stack([delayed(motion, one, lag * unit) for lag in DELAYS], axis=1) for one in parts)
     value = value - value[sound].mean(axis=0)
     middle = float(motion.dtheta[sound].mean())
     weights = np.linalg.lstsq(value[sound], motion.dtheta[sound] - middle, rcond=1e-9)[0]

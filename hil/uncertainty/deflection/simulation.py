@@ -16,7 +16,7 @@ from ga.model.trajectory import Motion
 from hil.signals.constants import ERROR_LEVEL, IN_STEP, NARROWER, NORMAL, PAIRS, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth
-from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved, stretches
+from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved
 
 Array = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def _more(motion: Motion, window: Window, errors: Array, of_rate: Array | float 
     whole = sampled(motion)
     more = np.array(behind(window, whole, errors))
     if window.low_pass is None:
-        for part in stretches(whole):  # near its ends a local polynomial has many times the noise
+        for part in whole.pieces:  # near its ends a local polynomial has many times the noise
             more[:, part.start : part.start + window.widest] = 0.0
             more[:, max(part.start, part.stop - window.widest) : part.stop] = 0.0
     more[1] += of_rate
@@ -99,7 +99,7 @@ def _errors(motion: Motion, window: Window) -> Iterator[Array]:
     rng, count, span = np.random.default_rng(0), window.count, float(np.ptp(motion.dtheta))
     # counts that are rounded once more would follow from the angle
     smooth = motion.dtheta.copy()
-    for part in stretches(motion):
+    for part in motion.pieces:
         if part.stop - part.start > 2 * window.slope:
             fit = local_polynomial(motion.time[part], motion.dtheta[part], window.slope, 0)
             smooth[part] = np.where(np.isfinite(fit), fit, motion.dtheta[part])
@@ -123,7 +123,7 @@ def _smoothed_away(motion: Motion, window: Window) -> Array:
     if window.low_pass is not None:  # flat up to where the deflection's noise hides all
         return first
     wider = [max(window.slope + more, int(window.slope / NARROWER**more)) for more in (1, 2)]
-    for part in stretches(motion):
+    for part in motion.pieces:
         inside = slice(part.start + wider[1], part.stop - wider[1])
         if inside.stop > inside.start:
             near = [local_polynomial(motion.time[part], motion.dtheta[part], half, 1) for half in wider]

@@ -1,4 +1,4 @@
-"""The law by which an emulated CAN drive computes its torque, and the joint that its motor turns."""
+"""The law by which an emulated CAN drive computes its torque."""
 
 from __future__ import annotations
 
@@ -6,50 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from sim_backend.parameters import (
-    CouplingParameters,
-    DriveParameters,
-    FixtureParameters,
-    LinkParameters,
-    MotorParameters,
-    SimParameters,
-)
-from sim_backend.wire.plant_motor import PlantMotor
-
-
-def scaled_joint(scale: float, torque_constant: float, resistance: float, *, friction: bool = True) -> SimParameters:
-    """Return the paper's joint with every torque multiplied by `scale`, driven without a gear.
-
-    Stiffness, damping, inertias and friction are all scaled, so the motion is that of the paper's joint and the same
-    chirp suits it. torque_constant: N m/A. resistance: Ohm, of the motor's winding. friction: whether the cable has dry
-    friction.
-    """
-    paper, fixture = CouplingParameters(), FixtureParameters()
-    return SimParameters(
-        motor=MotorParameters(
-            gear_ratio=1.0,
-            inertia=3.2e-6 * scale,
-            viscous_friction=1.6e-6 * scale,
-            torque_constant=torque_constant,
-            winding_resistance=resistance,
-            winding_heat_capacity=60.0,
-            winding_thermal_resistance=1.0,
-            housing_heat_capacity=200.0,
-            housing_thermal_resistance=3.0,
-        ),
-        coupling=CouplingParameters(
-            stiffness=paper.stiffness * scale,
-            damping=paper.damping * scale,
-            coulomb_friction=paper.coulomb_friction * scale if friction else 0.0,
-            bristle_stiffness=paper.bristle_stiffness * scale,
-            bristle_damping=paper.bristle_damping * scale,
-        ),
-        fixture=FixtureParameters(
-            stiffness=fixture.stiffness * scale, damping=fixture.damping * scale, inertia=fixture.inertia * scale
-        ),
-        drive=DriveParameters(torque_limit=scale),
-        link=LinkParameters(lost_reply=0.0, jitter=0.0),
-    )
+from sim_backend.wire.plant_motor import PlantMotor, limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +30,16 @@ class Impedance:
         """Return whether the torque depends on measurements, so that it must be computed again and again."""
         return enabled and bool(self.kp or self.kd)
 
+    @property
+    def affine(self) -> tuple[float, float, float, float] | None:
+        """The torque at angle and rate zero, N m, kp, kd and the ceiling; None if the law is not affine in angle and
+        rate up to the ceiling, or does not depend on them.
+        """
+        if not (self.kp or self.kd) or math.isfinite(self.fastest):
+            return None
+        torque = self.feedforward + self.kp * self.position + self.kd * self.velocity
+        return torque, self.kp, self.kd, self.ceiling
+
     def demand(self, motor: PlantMotor[Any]) -> float:
         """Return the torque at the motor's present position and velocity, N m."""
         if math.isinf(self.fastest):
@@ -83,9 +50,8 @@ class Impedance:
             )
         else:
             speed = self.velocity + self.kp / self.kd * (self.position - motor.position)
-            bounded = max(-self.fastest, min(self.fastest, speed))
-            wanted = self.feedforward + self.kd * (bounded - motor.velocity)
-        return max(-self.ceiling, min(self.ceiling, wanted))
+            wanted = self.feedforward + self.kd * (limited(speed, self.fastest) - motor.velocity)
+        return limited(wanted, self.ceiling)
 
     def at_rest(self, _motor: PlantMotor[Any]) -> Impedance:
         """Return a law without torque."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 import can
 
 from sim_backend.wire.arrivals import Arrivals
+from sim_backend.wire.canbus.at_frames import at_line
 from sim_backend.wire.canbus.bus import CanBus, CanNode
 from sim_backend.wire.canbus.damiao import damiao_line
 from sim_backend.wire.canbus.frames import CanFrame
@@ -113,8 +114,8 @@ class CanFamily:
     """A family of emulated drives on a CAN bus. Calling the object makes a bus of such drives, each with its own plant.
 
     noun: the kind of names in `known`: model or firmware. default: the name used if none is given. first: the id of a
-    single drive. make: a function that makes a drive from its model, its id, its plant (None: the paper's joint, scaled
-    to the motor) and the time at which it is powered, s on the monotonic clock.
+    single drive. make: a function that makes a drive from its model, its id, its plant (None: the default joint)
+    and the time at which it is powered, s on the monotonic clock.
     """
 
     noun: str
@@ -137,7 +138,7 @@ class CanFamily:
     ) -> PtyLine | CanServer:
         """Return a bus of drives. Serve it with `with served:` in a thread, or with `served.serve()` in this thread.
 
-        channel, interface: for the interfaces "slcan" and "damiao", `channel` becomes a symlink to a pty on which such
+        channel, interface: for "slcan", "damiao" and "robstride", `channel` becomes a symlink to a pty on which such
         an adapter answers; any other interface and channel are python-can's. timing: durations on the bus; None:
         nothing takes time. log: where the torque of each drive is logged. faults: the faults that will happen. Raises
         ValueError for a model that is not in `known` or an impossible id, FileExistsError if `channel` is a file,
@@ -153,5 +154,5 @@ class CanFamily:
         bus = CanBus(drives, timing=timing)
         if faults is not None:
             follow(faults, bus.faults, [drive.motor for drive in drives], now, can=True)
-        line = {"slcan": slcan_line, "damiao": damiao_line}.get(interface)
+        line = {"slcan": slcan_line, "damiao": damiao_line, "robstride": at_line}.get(interface)
         return CanServer(interface, str(channel), bus) if line is None else line(Path(channel), bus)

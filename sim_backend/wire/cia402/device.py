@@ -13,11 +13,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.canopen.dictionary import BAD_SIGNATURE, RANGE, Abort, Dictionary, eds
 from sim_backend.wire.canopen.node import HEARTBEAT_LOST, OPERATIONAL, CanopenNode
 from sim_backend.wire.cia402.machine import REMOTE, VOLTAGE, Cia402Machine, Cia402State
-from sim_backend.wire.cia402.tables import GROUPS, MODELS, SCALE, TORQUE_CONSTANT, entries
+from sim_backend.wire.cia402.tables import GROUPS, MODELS, TORQUE_CONSTANT, entries
+from sim_backend.wire.default_joint import fitting_joint
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -51,9 +52,10 @@ class Cia402Device:
     ) -> None:
         self.model = MODELS[model]
         self.kind = model
-        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.6), Impedance())
         self.machine = Cia402Machine()
         self.objects = Dictionary(entries(model, ident), GROUPS)
+        joint = parameters or fitting_joint(self._ceiling(), TORQUE_CONSTANT, 0.6)
+        self.motor = CanMotor(joint, Impedance())
         identity: dict[tuple[int, int], int | str] = {
             (0x1008, 0): self.model.name,
             (0x1018, 1): self.model.vendor,

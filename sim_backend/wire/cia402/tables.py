@@ -10,8 +10,6 @@ from sim_backend.wire.canopen.dictionary import I8, I16, I32, STRING, U8, U16, U
 
 TORQUE_CONSTANT = 0.02
 """N m/A of the emulated motor."""
-SCALE = 2.0
-"""Factor on the torques of the paper's joint, so that they suit the emulated motor."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,16 @@ def number(text: str) -> float:
         return float(np.float32(found[0])) if found else 0.0
 
 
+def whole(value: float) -> int:
+    """Return `value` truncated to an integer of 32 bits; one that has no such value becomes the largest or lowest."""
+    return int(max(-(2.0**31), min(2.0**31 - 1.0, value)))
+
+
+def _decimals(value: float) -> int:
+    """Return a number of decimals, 0 to 60, which is more than the board's numbers have."""
+    return max(0, min(60, whole(value)))
+
+
 class CommanderDevice:
     """The emulated board after its start, with the plant of `parameters` at its motor.
 
@@ -126,7 +136,7 @@ class CommanderDevice:
             self._set_verbose(rest)
         elif head == "#":
             if not out.ends(rest[0]):
-                out.decimals = int(number(rest))
+                out.decimals = _decimals(number(rest))
             out.friendly("Decimal:")
             out.machine("#")
             out.line(out.decimals)
@@ -137,7 +147,7 @@ class CommanderDevice:
     def _set_verbose(self, rest: str) -> None:
         out = self.printer
         if not out.ends(rest[0]):
-            out.verbose = int(number(rest))
+            out.verbose = whole(number(rest))
         out.friendly("Verb:")
         out.machine("@")
         if out.verbose in {NOTHING, MACHINE}:
@@ -211,15 +221,15 @@ class CommanderDevice:
             out.line(100)  # us, of the loop
         elif head == "C" and sub == "D":
             out.friendly(" downsample: ")
-            self._motion_downsample = self._motion_downsample if asked else int(value)
+            self._motion_downsample = self._motion_downsample if asked else whole(value)
             out.line(self._motion_downsample)
         elif head == "C":
             if not asked and 0 <= value < (len(_MOTION) if self.modern else 5):
-                self._change_motion(int(value))
+                self._change_motion(whole(value))
             out.line(_MOTION[self.motion.mode])
         else:
-            if not asked and 0 <= int(value) < (len(_TORQUE) if self.modern else 3):
-                self.torque_type = int(value)
+            if not asked and 0 <= whole(value) < (len(_TORQUE) if self.modern else 3):
+                self.torque_type = whole(value)
             out.line(_TORQUE[self.torque_type])
 
     def _change_motion(self, mode: int) -> None:
@@ -289,7 +299,7 @@ class CommanderDevice:
     def _monitor(self, sub: str, value: float | None, rest: str) -> None:
         out = self.printer
         if sub == "G":
-            self._show(int(value or 0.0))
+            self._show(whole(value or 0.0))
         elif sub == "C":
             self.watched = "0" * _SHOWN
             out.line("clear")
@@ -299,11 +309,11 @@ class CommanderDevice:
             out.line(self.watched)
         elif sub == "D":
             out.friendly("downsample: ")
-            self.downsample = self.downsample if value is None else int(value)
+            self.downsample = self.downsample if value is None else whole(value)
             out.line(self.downsample)
         elif sub == "#":
             out.friendly("decimal: ")
-            self._monitor_decimals = int(value or 0.0)
+            self._monitor_decimals = _decimals(value or 0.0)
             out.line(self._monitor_decimals)
         else:
             out.error()

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from sim_backend.parameters import SimParameters
 from sim_backend.sensors import counted
-from sim_backend.wire.plant_motor import BEAT, PlantMotor
+from sim_backend.wire.plant_motor import BEAT, PlantMotor, limited
 
 TORQUE_MODE, VELOCITY_MODE, ANGLE_MODE, ANGLE_NOCASCADE_MODE = 0, 1, 2, 5
 """The library's motion types in which the emulated motor is driven. The remaining types are open-loop or
@@ -80,14 +80,14 @@ class MotionControl:
             wanted = self._regulated(motor, ceiling)
         else:
             wanted = 0.0
-        return max(-ceiling, min(ceiling, wanted))
+        return limited(wanted, ceiling)
 
     def _regulated(self, motor: PlantMotor[Any], ceiling: float) -> float:
         damping = motor.inertia * BANDWIDTH * 3.0
         speed = self.target
         if self.mode != VELOCITY_MODE:
             speed = BANDWIDTH / 3.0 * (self.target - self.angle(motor))
-        speed = max(-self.velocity_limit, min(self.velocity_limit, speed))
+        speed = limited(speed, self.velocity_limit)
         error = speed - motor.velocity
         wanted = damping * error + self._integral
         if abs(wanted) <= ceiling:

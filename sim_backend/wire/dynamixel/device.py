@@ -16,6 +16,7 @@ from sim_backend.wire.dynamixel.control_table import GOALS, ControlTable
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
+from sim_backend.wire.packets.overload import Overload
 from sim_backend.wire.packets.regulator import (
     COUNT,
     CURRENT,
@@ -37,6 +38,8 @@ ALERT = 0x80
 VOLTAGE, OVERHEAT, ENCODER, SHOCK, OVERLOAD = 0x01, 0x04, 0x08, 0x10, 0x20
 """Bits of Hardware Error Status(70)."""
 
+OVERLOADED = 2.0
+"""s at the largest output after which a load is an overload; the manual says "persistent"."""
 _PWM_LSB = 1.0 / 885.0
 _ON_BY_GOAL = 0x08
 """The bit of Drive Mode(10) with which the write of a goal switches the torque on."""
@@ -68,7 +71,7 @@ class DynamixelDevice:
         self.registers.put("baud_rate", BAUD.index(baudrate))
         if firmware is not None:
             self.registers.put("firmware_version", firmware)
-        self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
+        self.motor = PlantMotor(joint_at_horn(self.model, parameters), Regulator(self.model))
         self._firmware = self.registers.get("firmware_version")
         self._powered = now
         self._booted = now
@@ -76,6 +79,7 @@ class DynamixelDevice:
         self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._turns_off = 0
+        self._overload = Overload()
         self.registers.put("goal_position", self._position())
         self.watchdog_broken = False
         """Whether the watchdog register trips but the motor turns on, as seen on the 330 series,
@@ -125,9 +129,16 @@ class DynamixelDevice:
         if self.motor.enabled and period > 0.0 and now - self.heard > period:
             self.motor.run(self.heard + period - self._powered)
             self._trip()
-        self.motor.run(now - self._powered)
+        while self._overload.trips(self.motor, now - self._powered, high=self._loaded, lasting=OVERLOADED):
+            self.fail(OVERLOAD)
         if self.motor.temperature > self.registers.get("temperature_limit"):
             self.fail(OVERHEAT)
+
+    def _loaded(self) -> bool:
+        """Return whether the output is at PWM Limit(36) with more than half of the stall torque."""
+        law, motor = self.motor.law, self.motor
+        full = abs(law.duty(motor)) >= self.registers.get("pwm_limit") * _PWM_LSB - 1e-3
+        return full and abs(motor.torque) > 0.5 * self.model.stall[2]
 
     def fail(self, bits: int) -> None:
         """Latch the hardware errors `bits`. Errors that are selected in Shutdown(63) switch the torque off."""
@@ -274,8 +285,22 @@ class DynamixelDevice:
         """Return Present Position in counts: the angle of the horn, reversed if the drive mode says so, plus the homing
         offset.
         """
-        counts = round(self._sign() * self.motor.position / COUNT)
-        return counts + self.registers.get("homing_offset") - 4096 * self._turns_off
+        return round(self._sign() * self.motor.position / COUNT) + self._offset()
+
+    def _offset(self) -> int:
+        """Return what is added to the horn's counts: whole turns, and Homing Offset(20), of which position control mode
+        ignores values beyond a quarter of a turn.
+        """
+        offset = self.registers.get("homing_offset")
+        ignored = self.registers.get("operating_mode") == POSITION and abs(offset) > 1024
+        return (0 if ignored else offset) - 4096 * self._turns_off
+
+    def _lose_turns(self) -> None:
+        """Bring the angle without Homing Offset(20) into one turn, as in position control mode the change of mode and
+        switching on do (e-manual, "Present Position(132)").
+        """
+        if self.registers.get("operating_mode") == POSITION:
+            self._turns_off = round(self._sign() * self.motor.position / COUNT) // 4096
 
     def _sign(self) -> int:
         return -1 if self.registers.get("drive_mode") & 1 else 1
@@ -283,6 +308,7 @@ class DynamixelDevice:
     def _mode_changed(self) -> None:
         """Reset goals and profile when the operating mode changes, as the manual's note on Operating Mode(11) says."""
         r = self.registers
+        self._lose_turns()
         r.put("goal_pwm", r.get("pwm_limit"))
         r.put("goal_current", r.get("current_limit"))
         r.put("goal_velocity", 0)
@@ -297,6 +323,7 @@ class DynamixelDevice:
             self.registers.put("torque_enable", 1)
             return
         if on and not self.motor.enabled:
+            self._lose_turns()
             self.motor.enable()
         if not on:
             self.motor.disable()
@@ -320,7 +347,7 @@ class DynamixelDevice:
         limit = r.get("current_limit")
         if mode in {CURRENT, CURRENT_POSITION}:
             current = max(-limit, min(limit, current))
-        position = r.get("goal_position") - r.get("homing_offset") + 4096 * self._turns_off
+        position = r.get("goal_position") - self._offset()
         self.motor.law.goals = Goals(
             mode=mode,
             current=sign * current * self.model.current_lsb,

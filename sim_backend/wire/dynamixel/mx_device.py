@@ -54,7 +54,7 @@ class MxDevice:
         self.model = MX_MODELS[model]
         self.registers = Registers(self.model.items)
         self.get, self.put = self.registers.get, self.registers.put
-        self.motor = PlantMotor(parameters or joint_at_horn(self.model), Regulator(self.model))
+        self.motor = PlantMotor(joint_at_horn(self.model, parameters), Regulator(self.model))
         self.errors = 0
         """The present hardware errors, as bits of the error byte."""
         self.ignores_torque_off = False

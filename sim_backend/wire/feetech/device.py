@@ -11,7 +11,8 @@ The following is not in these sources and is assumed here. An instruction that t
 because no bit of the status means this. A write of a value out of range, or to a read-only address, is confirmed but
 ignored. A read may span addresses without an item, which read as zero. A request with a wrong checksum gets no reply.
 An error that is selected in Unloading Condition(19) switches the output off until the error has ended and Torque
-Enable(40) is written again; an overload only reduces the output to Protective Torque. A write to the EEPROM while the
+Enable(40) is written again. An overload, Protection Time with more than Overload Torque in % of Torque Limit, only
+reduces the output to Protective Torque, until a goal in the other direction is written. A write to the EEPROM while the
 lock is 1 takes effect but is lost without power; so does a restored backup. Gains, dead zones, acceleration and the LED
 have no effect.
 """
@@ -25,6 +26,7 @@ from sim_backend.wire.feetech.tables import BAUD, CURRENT_LSB, EEPROM_END, MODEL
 from sim_backend.wire.loadcell.joint_torque import JointTorque
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
+from sim_backend.wire.packets.overload import Overload
 from sim_backend.wire.packets.registers import Item, Registers
 from sim_backend.wire.packets.regulator import (
     CURRENT,
@@ -82,7 +84,7 @@ class FeetechDevice:
         self.get, self.put = self.registers.get, self.registers.put
         self._flash = bytearray(EEPROM_END)
         self.joint = JointTorque()
-        plant = parameters or joint_at_horn(self.model)
+        plant = joint_at_horn(self.model, parameters)
         self.motor = PlantMotor(plant, Regulator(self.model), self.joint.note)
         self.errors = 0
         """The present errors, as bits of the status."""
@@ -90,6 +92,8 @@ class FeetechDevice:
         """Whether torque-off is acknowledged but not carried out: a fault for tests."""
         self._powered = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
+        self._overload, self._resisted = Overload(), 0.0
+        self._limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
         self._centre = 1023 // 2 if self.model.big else 0
         major, minor = firmware or self.model.firmware
         identity = {"firmware_major": major, "firmware_minor": minor, "id": ident, "baud_rate": BAUD.index(baudrate)}
@@ -132,11 +136,19 @@ class FeetechDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
-        self.motor.run(now - self._powered)
+        lasting = self.get("protection_time") * 0.01
+        while self._overload.trips(self.motor, now - self._powered, high=self._loaded, lasting=lasting):
+            self._resisted = math.copysign(1.0, self.motor.torque)
+            self.fail(OVERLOAD)
         if self.motor.temperature > self.get("temperature_limit"):
             self.fail(HEAT)
         else:
             self.errors &= ~HEAT
+
+    def _loaded(self) -> bool:
+        """Return whether the torque is above Overload Torque, in % of Torque Limit."""
+        most = self.get("overload_torque") / 100.0 * self.get(self._limit) / 1000.0 * self.model.stall[2]
+        return self.registers.has("overload_torque") and abs(self.motor.torque) > most
 
     def fail(self, bits: int) -> None:
         """Report the errors `bits`. Errors that are selected in Unloading Condition(19) switch the output off."""
@@ -193,8 +205,8 @@ class FeetechDevice:
                 written.add(item.name)
         if "id" in written:
             self.put("second_id", self.get("id"))
-        if "goal_position" in written:
-            self.errors &= ~OVERLOAD  # a new goal ends the protection
+        if "goal_position" in written and self._resisted * (self._goal() - self._counts()) <= 0.0:
+            self.errors &= ~OVERLOAD
         if "torque_enable" in written:
             self._torque()
         elif ("goal_velocity" if self._mode() == SPEED else "goal_position") in written:
@@ -312,8 +324,7 @@ class FeetechDevice:
         """
         amperes = self.model.stall[1]
         mode = self._mode()
-        limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
-        ceiling = self.get(limit) / 1000.0 * amperes
+        ceiling = self.get(self._limit) / 1000.0 * amperes
         if self.errors & OVERLOAD and self.registers.has("protective_torque"):
             ceiling = min(ceiling, self.get("protective_torque") / 100.0 * amperes)
         current = 0.0

@@ -16,7 +16,8 @@ import struct
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance
+from sim_backend.wire.default_joint import fitting_joint
 from sim_backend.wire.mit import servo_mode
 from sim_backend.wire.mit.tables import MODELS, registers
 
@@ -31,8 +32,10 @@ MIT, POSITION_SPEED, SPEED, FORCE_POSITION = 1, 2, 3, 4
 """Values of a Damiao's register CTRL_MODE(10)."""
 POSITION_GAIN = 50.0
 """rad/s of commanded speed for each rad of position error."""
-SPEED_GAIN = 2e-3
-"""N m s/rad of the speed loop, multiplied by the model's scale."""
+SPEED_GAIN = 0.02
+"""s/rad, gain of the speed loop divided by the full scale of the torque."""
+SPEED_RATE = 200.0
+"""rad/s, bandwidth of the speed loop with a heavy rotor: fast enough for `POSITION_GAIN`."""
 _FORCE_POSITION = struct.Struct("<fHH")
 """Units of the values in a FORCE_POS command: rad, 0.01 rad/s, 0.0001 of the torque range."""
 
@@ -72,9 +75,11 @@ class MitDevice:
         self.values = {number: item.initial for number, item in self._items.items()}
         self._stored = dict(self.values)
         self._ident, self._reply = ident, reply
-        self.motor = CanMotor(
-            parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance), Impedance()
-        )
+        row = self.model
+        joint = parameters or fitting_joint(row.span[2], row.torque_constant, row.resistance, inertia=row.inertia)
+        self.motor = CanMotor(joint, Impedance())
+        self._damping = max(SPEED_GAIN * row.span[2], SPEED_RATE * self.motor.inertia)
+        """N m s/rad of the speed loop."""
         self.error = 0
         self.refused: set[int] = set()
         """Registers whose writes are acknowledged but not carried out: a fault for tests."""
@@ -171,7 +176,7 @@ class MitDevice:
             return
         if frame.ident >> 8 == servo_mode.ORIGIN:
             self._zero = self.motor.position
-        demand = servo_mode.law(frame.ident >> 8, frame.data, self.model, self._zero, SPEED_GAIN * self.model.scale)
+        demand = servo_mode.law(frame.ident >> 8, frame.data, self.model, self._zero, self._damping)
         if demand is not None:
             self.motor.enable()
             self.motor.follow(demand)
@@ -222,14 +227,13 @@ class MitDevice:
         """Drive to `position`, rad, with a speed of at most `fastest`, rad/s, and a torque of at most `ceiling`, N
         m.
         """
-        damping = SPEED_GAIN * self.model.scale
+        damping = self._damping
         self.motor.follow(
             Impedance(0.0, POSITION_GAIN * damping, damping, position + self._zero, ceiling=ceiling, fastest=fastest)
         )
 
     def _turn(self, speed: float) -> None:
-        damping = SPEED_GAIN * self.model.scale
-        self.motor.follow(Impedance(kd=damping, velocity=speed, ceiling=self._span()[2]))
+        self.motor.follow(Impedance(kd=self._damping, velocity=speed, ceiling=self._span()[2]))
 
     def _span(self) -> tuple[float, float, float]:
         return (self.values[21], self.values[22], self.values[23]) if self.damiao else self.model.span
@@ -264,7 +268,7 @@ class MitDevice:
         self.values[62 if number == 62 else 61] = self.motor.temperature
         if command == 0x55:
             value = float(struct.unpack_from(layout, data, 4)[0])
-            if item.writable and number not in self.refused and item.low <= value <= item.high:
+            if item.writable and number not in self.refused and item.low <= value <= item.high and math.isfinite(value):
                 self.values[number] = value
         kept = self.values[number]
         raw = struct.pack(layout, int(kept) if item.whole else kept)

@@ -19,9 +19,9 @@ class MitModel:
     damiao: bool
     span: tuple[float, float, float]
     gear: float
-    scale: float
     torque_constant: float
     resistance: float
+    inertia: float
 
 
 MODELS = {

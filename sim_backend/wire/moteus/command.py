@@ -124,7 +124,8 @@ class Command:
     def derated(self, motor: PlantMotor[Any]) -> float:
         """Return the factor on the torque limit at the motor's speed: 1 up to servo.max_velocity, then falling to 0."""
         over = abs(motor.velocity) / TURN - self._config.values["servo.max_velocity"]
-        return max(0.0, min(1.0, 1.0 - over / self._config.values["servo.max_velocity_derate"]))
+        derate = self._config.values["servo.max_velocity_derate"]
+        return max(0.0, min(1.0, 1.0 - over / derate)) if derate > 0.0 else float(over <= 0.0)
 
 
 def arrived(motor: PlantMotor[Any]) -> bool:

@@ -108,7 +108,9 @@ class Console:
     def _set(self, name: str, text: str) -> bytes:
         try:
             value = float(text)
-        except ValueError:
+            if name in _WHOLE:
+                value = float(int(value))
+        except (ValueError, OverflowError):
             return b"ERR error setting\r\n"
         if name not in self.refused:
             self.values[name] = value

@@ -14,7 +14,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from sim_backend.wire.canbus.frames import CanFrame, padded
-from sim_backend.wire.canbus.impedance import Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import Impedance
+from sim_backend.wire.default_joint import fitting_joint
 from sim_backend.wire.moteus.channels import CHANNELS
 from sim_backend.wire.moteus.command import (
     BRAKE,
@@ -52,8 +53,6 @@ if TYPE_CHECKING:
 
 COUNTS = 16384
 TORQUE_LSB = 2e-3
-SCALE = 20.0
-"""Factor on the torques of the paper's joint, so that they suit the motor."""
 BOOT = 0.1
 
 STOPPED, FAULT, PREPARING = 0, 1, 4
@@ -81,10 +80,11 @@ class MoteusDevice:
         parameters: SimParameters | None = None,
         now: float = 0.0,
     ) -> None:
-        plant = parameters or scaled_joint(SCALE, TORQUE_CONSTANT, RESISTANCE)
-        self.motor: PlantMotor[Any] = PlantMotor(plant, Impedance())
         channels = {name: partial(channel, self) for name, channel in CHANNELS.items()}
         self.console = Console(ident, channels)
+        most = self.console.values["servo.max_current_A"] * TORQUE_CONSTANT
+        plant = parameters or fitting_joint(most, TORQUE_CONSTANT, RESISTANCE)
+        self.motor: PlantMotor[Any] = PlantMotor(plant, Impedance())
         self.command = Command(self.console)
         self.identity = {0x100: 0x20, 0x102: register_map, 0x110: ident, 0x158: 1}
         self.identity[0x101] = firmware[0] << 16 | firmware[1] << 8 | firmware[2]
@@ -232,12 +232,12 @@ class MoteusDevice:
         return 0.0 if number in READABLE else None
 
     def _write(self, number: int, kind: int, raw: float, now: float) -> bytes:
-        if number == 0 and raw <= BRAKE:
+        if number == 0 and 0 <= raw <= BRAKE:
             self._enter(int(raw), now)
         elif _ALIASES.get(number, number) in COMMANDS and number not in self.unknown:
             self.command.values[_ALIASES.get(number, number)] = valued(raw, UNITS.get(number), kind)
         elif number in {0x130, 0x131}:
-            self._offset = self.motor.position - valued(raw, UNITS[0x001], kind) * TURN
+            self._asked("exact", valued(raw, UNITS[0x001], kind))
         else:
             return refusal(True, number)
         return b""
@@ -305,6 +305,7 @@ class MoteusDevice:
         """
         if name == "stop":
             self._stop()
+        if name == "stop" or not math.isfinite(value):
             return
         error = self.turns - value
         self._offset += (round(error) if name in {"nearest", "rezero"} else error) * TURN

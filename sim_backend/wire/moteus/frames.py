@@ -13,6 +13,7 @@ FLOAT = 3
 NOP = 0x50
 CODES = "bhif"
 LARGEST = (127, 32767, 2147483647)
+_LARGEST_FLOAT = 3.4028234e38
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +150,11 @@ def counted(value: float, unit: tuple[float, float, float] | None, kind: int) ->
     count and wraps at the range.
     """
     if kind == FLOAT:
-        return value
-    if unit is None:
+        return value if not abs(value) > _LARGEST_FLOAT else math.copysign(math.inf, value)
+    if unit is None and math.isfinite(value):
         span = 1 << 8 * (1 << kind)
         return (int(value) + span // 2) % span - span // 2
-    if not math.isfinite(value):
+    if unit is None or not math.isfinite(value):
         return -LARGEST[kind] - 1
     return max(-LARGEST[kind], min(LARGEST[kind], int(value / unit[kind])))
 

@@ -64,7 +64,9 @@ class Guided:
         """Return the duration of the trajectory, s."""
         way = abs(self.law.position - self.start)
         reached, ramp = self._cruise(way)
-        return 0.0 if reached == math.inf else 2.0 * ramp + max(0.0, way - reached * ramp) / reached if way else 0.0
+        if way == 0.0 or reached == math.inf:
+            return 0.0
+        return 2.0 * ramp + max(0.0, way - reached * ramp) / reached if reached > 0.0 else math.inf
 
     def beats(self, enabled: bool) -> bool:
         """Return whether the torque depends on measurements, so that it must be computed again and again."""
@@ -82,13 +84,15 @@ class Guided:
     def _cruise(self, way: float) -> tuple[float, float]:
         """Return the highest speed on a trajectory of length `way`, rad/s, and the time to reach this speed, s."""
         reached = min(self.speed, math.sqrt(way * self.acceleration))
-        return reached, reached / self.acceleration
+        return reached, reached / self.acceleration if self.acceleration else math.inf
 
     def _at(self, elapsed: float) -> tuple[float, float]:
         """Return position, rad, and velocity, rad/s, at `elapsed` s after the trajectory's begin."""
         way, whole = self.law.position - self.start, self.duration
         if elapsed >= whole:
             return self.law.position, self.law.velocity
+        if math.isinf(whole):  # it may not move
+            return self.start, 0.0
         reached, ramp = self._cruise(abs(way))
         done, speed = reached * (elapsed - 0.5 * ramp), reached
         if elapsed < ramp:

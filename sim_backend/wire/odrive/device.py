@@ -6,7 +6,7 @@ assumed here. A boot takes 0.5 s. The motor does not turn in a calibration. The 
 without a node id sends only its address, on request, within 50 ms. With firmware 0.6, set-points and state requests
 feed the watchdog (the vendor's watchdog example sends both), and the watchdog acts only in closed loop. One count of
 the current sensor is 20 mA. Position and velocity control are cascades of plain gains without the firmware's
-integrator.
+integrator. A set-point or position that is not finite is ignored.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import struct
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance
+from sim_backend.wire.default_joint import fitting_joint
 from sim_backend.wire.odrive.endpoints import Endpoints
 from sim_backend.wire.odrive.states import (
     CLOSED_LOOP,
@@ -46,8 +47,6 @@ CURRENT_LSB = 0.02
 """A in one count of current."""
 TORQUE_CONSTANT = 0.04
 """N m/A of the emulated motor."""
-SCALE = 20.0
-"""Factor on the torques of the paper's joint, so that they suit the emulated motor."""
 
 WATCHDOG = {"0.5": 0x800, "0.6": 0x1000000}
 OVERSPEED = {"0.5": 0x200, "0.6": 0x8000}
@@ -81,8 +80,9 @@ class OdriveDevice:
     ) -> None:
         self.firmware = firmware
         self.layout = "0.5" if firmware.startswith("0.5") else "0.6"
-        self.motor = CanMotor(parameters or scaled_joint(SCALE, TORQUE_CONSTANT, 0.06), Impedance())
         self.endpoints = Endpoints(ident)
+        most = self.endpoints.get("axis0.config.motor.current_soft_max") * TORQUE_CONSTANT
+        self.motor = CanMotor(parameters or fitting_joint(most, TORQUE_CONSTANT, 0.06), Impedance())
         self.serial = serial
         self.endpoints.put("serial_number", float(serial % (1 << 32)))
         self.state = IDLE
@@ -96,8 +96,7 @@ class OdriveDevice:
         self._start(now)
 
     def _start(self, now: float) -> None:
-        self._ready = now
-        self._fed = now
+        self._ready = self._fed = now
         self._next = {"heartbeat": now + 0.01 * (1 + self.ident % 7), "encoder": now + 0.013, "torques": now + 0.017}
         """Time at which each cyclic message is sent next, s."""
         self._introduces = math.inf
@@ -176,9 +175,7 @@ class OdriveDevice:
             self._control()
 
     def reboot(self, now: float) -> None:
-        """Lose the contents of the RAM and the position, switch the torque off, and do not reply until the boot has
-        ended.
-        """
+        """Lose the RAM and the position, switch the torque off, and do not reply until the boot has ended."""
         self._go_idle()
         self.errors = self.disarm_reason = 0
         self._start(now)
@@ -207,9 +204,12 @@ class OdriveDevice:
             return []
         if frame.remote or not frame.data:
             return self._replied(command, now)
-        if command in {0x04} and self.layout == "0.6":
+        if command == 0x04 and self.layout == "0.6":
             return self._parameter(frame.data, now)
-        self._obey(command, frame.data.ljust(8, b"\0"), now)
+        data = frame.data.ljust(8, b"\0")
+        size = {0x0C: 1, 0x0D: 2, 0x0E: 1, 0x19: self.layout == "0.6"}.get(command, 0)  # floats that are set-points
+        if all(map(math.isfinite, _FLOATS.unpack(data)[:size])):
+            self._obey(command, data, now)
         return []
 
     def _replied(self, command: int, now: float) -> list[CanFrame]:
@@ -298,8 +298,7 @@ class OdriveDevice:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def _obey(self, command: int, data: bytes, now: float) -> None:
-        first, second = _FLOATS.unpack(data)
-        words = struct.unpack("<II", data)
+        (first, second), words = _FLOATS.unpack(data), struct.unpack("<II", data)
         match command:
             case 0x02:
                 self.fail(ESTOP[self.layout])

@@ -205,6 +205,8 @@ class PacketBus:
         one after the other. wanted: (id, address, size) of each. present: servos by id.
         """
         length = 1 + sum(size + 4 for _, _, size in wanted)
+        if length > 0xFFFF:
+            return []
         out = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([Instruction.STATUS])
         first = None
         for ident, address, size in wanted:

@@ -18,7 +18,8 @@ def checksum_1(body: bytes) -> int:
 
 
 def status_1(ident: int, error: int, parameters: bytes = b"") -> bytes:
-    """Return a status packet from the servo `ident`."""
+    """Return a status packet from the servo `ident`, with at most 253 parameters: its length is one byte."""
+    parameters = parameters[:253]
     body = bytes([ident, 2 + len(parameters), error]) + parameters
     return HEADER + body + bytes([checksum_1(body)])
 

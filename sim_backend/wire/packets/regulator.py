@@ -8,13 +8,12 @@ the stall torque is right, kt V/R, but the no-load speed is not, because the ine
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
-import numpy as np
-
-from sim_backend.parameters import CouplingParameters, LinkParameters, MotorParameters, SimParameters
-from sim_backend.wire.plant_motor import BEAT, PlantMotor
+from sim_backend.parameters import SimParameters
+from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.plant_motor import BEAT, PlantMotor, limited
 
 CURRENT, SPEED, POSITION, EXTENDED, CURRENT_POSITION, PWM = 0, 1, 3, 4, 5, 16
 """The operating modes, with DYNAMIXEL's values of Operating Mode(11)."""
@@ -32,24 +31,18 @@ class Stalling(Protocol):
         """Voltage V, current A and torque N m at stall."""
 
 
-def joint_at_horn(model: Stalling, coupling: CouplingParameters | None = None) -> SimParameters:
-    """Return the plant of a servo whose horn drives the joint directly: the gear ratio eta is 1. Torque constant and
-    winding follow from the stall point.
+def joint_at_horn(model: Stalling, parameters: SimParameters | None) -> SimParameters:
+    """Return the plant of a servo whose horn drives the joint directly: `parameters` with the torque constant and the
+    winding that follow from the model's stall point.
 
-    coupling: the cable; None: that of the paper's joint. The inertia at the horn equals the default motor's inertia as
-    seen at the joint, so that the resonance is the same. It is far below the inertia of a real gearbox.
+    parameters: None: the default joint, whose motor is far lighter than a real gearbox.
     """
     volts, amperes, torque = model.stall
-    motor = MotorParameters(
-        gear_ratio=1.0,
-        inertia=3.2e-6,
-        viscous_friction=1.6e-6,
-        torque_constant=torque / amperes,
-        winding_resistance=volts / amperes,
-    )
-    return SimParameters(
-        motor=motor, coupling=coupling or CouplingParameters(), link=LinkParameters(lost_reply=0.0, jitter=0.0)
-    )
+    constant, resistance = torque / amperes, volts / amperes
+    if parameters is None:
+        return fitting_joint(torque, constant, resistance)
+    motor = replace(parameters.motor, torque_constant=constant, winding_resistance=resistance)
+    return replace(parameters, motor=motor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +96,7 @@ class Regulator:
         """Return the torque that is demanded until the next evaluation, N m."""
         goals, kt = self.goals, self.torque_constant
         if goals.mode == CURRENT:
-            return float(np.clip(goals.current * kt, -self._stall_torque, self._stall_torque))
+            return limited(goals.current * kt, self._stall_torque)
         if goals.mode == PWM:
             # the back-EMF brakes; stronger than this it would overshoot within a beat on so light a motor
             braking = min(kt**2 / self._resistance, 0.5 * motor.inertia / BEAT)
@@ -114,7 +107,7 @@ class Regulator:
         if abs(wanted) <= ceiling and beat != self._beat:
             self._integral += growth
         self._beat = beat
-        return max(-ceiling, min(ceiling, wanted))
+        return limited(wanted, ceiling)
 
     def _speed_loop(self, motor: PlantMotor[Any]) -> tuple[float, float]:
         """Return the torque that the speed loop demands, and the increment of its integral until the next evaluation, N

@@ -1,11 +1,10 @@
-"""Make several emulated servos of one model for one serial line."""
+"""Make the emulated servos of one serial line."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SimParameters
@@ -17,39 +16,50 @@ from sim_backend.wire.torque_log import TorqueLog, Watched
 Servo = TypeVar("Servo", bound=Watched)
 
 
+class OnLine(NamedTuple):
+    """A servo to be emulated. parameters: its plant, whose torque constant and winding are replaced by the model's;
+    None: the default joint.
+    """
+
+    model: str
+    ident: int
+    parameters: SimParameters | None = None
+
+
 def servos(
     make: Callable[..., Servo],
     models: Mapping[str, Stalling],
-    model: str,
-    idents: Sequence[int],
+    wanted: Sequence[OnLine],
     *,
     highest: int,
     baudrate: int,
     rates: Collection[int],
-    parameters: SimParameters | None,
     log: TorqueLog | None,
 ) -> list[Servo]:
-    """Return servos of `model`, each with its own plant. They are powered now, on the monotonic clock.
+    """Return the servos `wanted`, each with its own plant. They are powered now, on the monotonic clock.
 
     make: a function that makes a servo from model and id, with the keywords baudrate, parameters and now. models: the
-    known models. highest: the highest id. rates: the possible baud rates, bit/s. parameters: the plant, whose torque
-    constant and winding are replaced by the model's; None: the paper's joint at the horn. log: where the torque of each
-    servo is logged. Raises ValueError for an impossible model, id or baud rate.
+    known models. highest: the highest id. rates: the possible baud rates, bit/s. log: where the torque of each servo is
+    logged. Raises ValueError for an impossible model, id or baud rate.
     """
-    if model not in models:
+    idents = [servo.ident for servo in wanted]
+    for model in {servo.model for servo in wanted} - set(models):
         raise ValueError(f"model {model!r} is not known: choose one of {', '.join(sorted(models))}")
     if baudrate not in rates:
         raise ValueError(f"baud rate {baudrate}: choose one of {', '.join(map(str, sorted(rates)))}")
     if len(set(idents)) < len(idents) or not all(0 <= ident <= highest for ident in idents):
         raise ValueError(f"ids must differ and lie between 0 and {highest}")
-    if parameters is None:
-        plant = joint_at_horn(models[model])
-    else:
-        volts, amperes, torque = models[model].stall
-        motor = replace(parameters.motor, torque_constant=torque / amperes, winding_resistance=volts / amperes)
-        plant = replace(parameters, motor=motor)
     now = time.monotonic()
-    made = [make(model, ident, baudrate=baudrate, parameters=plant, now=now) for ident in idents]
+    made = [
+        make(
+            one.model,
+            one.ident,
+            baudrate=baudrate,
+            parameters=joint_at_horn(models[one.model], one.parameters),
+            now=now,
+        )
+        for one in wanted
+    ]
     if log is not None:
         log.watch_all(made, now)
     return made

@@ -17,7 +17,8 @@ import struct
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.canbus.frames import CanFrame
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance
+from sim_backend.wire.default_joint import fitting_joint
 from sim_backend.wire.robstride.tables import MODELS, Item, items
 
 if TYPE_CHECKING:
@@ -32,8 +33,10 @@ OPERATION, PP, SPEED, CURRENT, CSP = 0, 1, 2, 3, 5
 """Values of run_mode."""
 OVERHEAT, DRIVER, UNDERVOLTAGE, OVERVOLTAGE, UNCALIBRATED, STALL = 1, 2, 4, 8, 128, 16384
 """Bits of a fault frame."""
-SPEED_GAIN = 2e-3
-"""N m s/rad of the model's scale, at the delivered spd_kp."""
+SPEED_GAIN = 0.02
+"""s/rad, gain of the speed loop divided by the full scale of the torque, at the delivered spd_kp."""
+SPEED_RATE = 200.0
+"""rad/s, bandwidth of the speed loop with a heavy rotor, at the delivered spd_kp."""
 _DELIVERED_SPEED_GAIN = 6.0
 _FEEDBACK_BITS = {OVERHEAT: 4, DRIVER: 2, UNDERVOLTAGE: 1, OVERVOLTAGE: 8, 16: 2, 32: 2, 65536: 2}
 _FEEDBACK_BITS |= {UNCALIBRATED: 32, STALL: 16}
@@ -73,9 +76,12 @@ class RobstrideDevice:
         self._items = items(self.model)
         self._named = {item.name: item for item in self._items.values()}
         self._saved = {item.name: item.initial for item in self._items.values()}
+        self._items = {index: item for index, item in self._items.items() if index <= self.model.highest}
         self.values = dict(self._saved)
-        joint = parameters or scaled_joint(self.model.scale, self.model.torque_constant, self.model.resistance)
+        row = self.model
+        joint = parameters or fitting_joint(row.span[1], row.torque_constant, row.resistance, inertia=row.inertia)
         self.motor = CanMotor(joint, Impedance())
+        self._damping = max(SPEED_GAIN * row.span[1], SPEED_RATE * self.motor.inertia)
         self.faults = 0
         self.refused: set[str] = set()
         self.ignores_stop = False
@@ -163,7 +169,7 @@ class RobstrideDevice:
                 self._impede([word / 0xFFFF for word in (field & 0xFFFF, *_WORDS.unpack(data))])
             return [self._feedback()]
         self._host = field & 0xFF
-        if kind == 4 and data[:2] == b"\x00\xc4":
+        if kind == 4 and data[:2] == b"\x00\xc4" and self.firmware:
             self._act(kind, bytes(8))
             return [self._to_host(2, self._status, b"\x00\xc4\x56" + bytes(self.firmware) + b"\0")]
         if kind == 17:
@@ -246,7 +252,7 @@ class RobstrideDevice:
     def _follow(self) -> None:
         """Follow the set-points of the present run_mode; operation mode begins without torque."""
         values, mode, constant = self.values, self.values["run_mode"], self.model.torque_constant
-        damping = SPEED_GAIN * self.model.scale * max(1e-3, values["spd_kp"]) / _DELIVERED_SPEED_GAIN
+        damping = self._damping * max(1e-3, values["spd_kp"]) / _DELIVERED_SPEED_GAIN
         ceiling = min(values["limit_torque"], values["limit_cur"] * constant)
         law = Impedance()
         if mode == CURRENT:

@@ -14,7 +14,9 @@ _TABLE = table("robstride", "sim_backend.wire")
 
 @dataclass(frozen=True, slots=True)
 class RobstrideModel:
-    """A RobStride model. span: full scale of the counts: velocity rad/s, torque N m, kp N m/rad, kd N m s/rad."""
+    """A RobStride model. span: full scale of the counts: velocity rad/s, torque N m, kp N m/rad, kd N m s/rad. highest:
+    index of its last parameter. table.toml explains the other fields.
+    """
 
     firmware: tuple[int, ...]
     span: tuple[float, float, float, float]
@@ -22,7 +24,8 @@ class RobstrideModel:
     rms_constant: float
     resistance: float
     hottest: float
-    scale: float
+    inertia: float
+    highest: int = 0xFFFF
 
     @property
     def torque_constant(self) -> float:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canbus.damiao import DamiaoBus, encoded
+from drivers.canbus.damiao import DamiaoFrames
 from drivers.canbus.link import frame
+from drivers.canbus.serial_bus import SerialBus
 from drivers.mit.config import MitConfig
 from drivers.mit.servo import MitServo
 from drivers.robstride.config import RobstrideConfig
@@ -23,6 +24,7 @@ from sim_backend.wire.robstride.device import RobstrideDevice
 
 LIMITS = Limits(torque=2.0, velocity=20.0, temperature=85.0, position=(-3.0, 3.0))
 PUSH = Command(Quantity.TORQUE, 0.5)
+encoded = DamiaoFrames(1_000_000).encoded
 STOP_REPEATING, HEARTBEAT, SLOW = b"\x55\x03\xaa\x55", b"\x55\x04\xaa\x55", b"\x55\x05\x03\xaa\x55"
 STATE = bytes.fromhex("0100cc0000000000")  # the request for a Damiao's state, to 7FF
 
@@ -85,12 +87,13 @@ def test_drives_behind_it_run_and_are_switched_off_by_another_process_of_ours(be
 
 def test_frames_that_arrive_together_are_all_read_and_lost_bytes_cost_one(behind: tuple[CanBus, str]) -> None:
     _, link = behind
-    bus = DamiaoBus(link, 1_000_000)
+    frames = DamiaoFrames(1_000_000)
+    bus = SerialBus(link, frames)
     asked = encoded(frame(0x7FF, STATE))
     bus.serialPortOrig.write(3 * asked)
     received = [bus.recv(0.5) for _ in range(3)]
     assert [message.arbitration_id for message in received if message is not None] == 3 * [0x11]
-    bus._part = b"\xaa\x11\x08"  # of a frame whose end was lost
+    frames.part = b"\xaa\x11\x08"  # of a frame whose end was lost
     bus.serialPortOrig.write(3 * asked)
     assert [bus.recv(0.1) is not None for _ in range(4)] == [True, True, True, False]
     bus.shutdown()
@@ -100,12 +103,12 @@ def test_another_bit_rate_is_another_bus_and_a_second_owner_is_kept_out(behind: 
     _, link = behind
     with pytest.raises(NoReply, match="at 500000 bit/s"):
         MitServo(MitConfig("damiao", link, "dm-j4310", reply_id=0x11, bitrate=500_000))
-    first = DamiaoBus(link, 1_000_000)
+    first = SerialBus(link, DamiaoFrames(1_000_000))
     with pytest.raises(DriverError, match="is open in this program already"):
         MitServo(MitConfig("damiao", link, "dm-j4310"))
     first.shutdown()
     with pytest.raises(ValueError, match="not in tuple"):
-        DamiaoBus(link, 123)
+        DamiaoFrames(123)
 
 
 def test_bus_off_ends_the_run(behind: tuple[CanBus, str]) -> None:

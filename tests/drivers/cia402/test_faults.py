@@ -17,9 +17,7 @@ from sim_backend.wire.canopen.node import HEARTBEAT_LOST, PRE_OPERATIONAL
 from sim_backend.wire.canopen.sdo import SdoServer
 from sim_backend.wire.cia402.device import FOLLOWING_ERROR, OVERCURRENT, Cia402Device
 from sim_backend.wire.cia402.machine import Cia402State
-from sim_backend.wire.faults import (
-    DropReplies,
-)
+from sim_backend.wire.faults import DropReplies
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))

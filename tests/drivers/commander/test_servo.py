@@ -18,14 +18,7 @@ from drivers.clock import VirtualClock
 from drivers.commander.config import CommanderConfig
 from drivers.commander.lines import RESOLUTION, same, state, target
 from drivers.commander.servo import CommanderServo
-from drivers.servo import (
-    BadReply,
-    Command,
-    DriverError,
-    Limits,
-    NoReply,
-    Quantity,
-)
+from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity
 from sim_backend.wire.commander.device import number
 from sim_backend.wire.commander.emulator import CommanderTiming, new_board
 from sim_backend.wire.faults import (

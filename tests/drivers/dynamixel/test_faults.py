@@ -17,21 +17,9 @@ from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.faults import RESTARTED
 from drivers.dynamixel.models import POSITION_LSB
 from drivers.dynamixel.servo import DynamixelServo
-from drivers.servo import (
-    BadReply,
-    Command,
-    DeviceFault,
-    DriverError,
-    Limits,
-    LinkLost,
-    NoReply,
-    Quantity,
-)
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.faults import (
-    NoiseBefore,
-    Unplug,
-)
+from sim_backend.wire.faults import NoiseBefore, Unplug
 from sim_backend.wire.packets.bus import PacketBus, Reply
 from sim_backend.wire.uart.pty_line import PtyLine
 

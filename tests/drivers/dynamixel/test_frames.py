@@ -36,11 +36,7 @@ def octets(text: str) -> bytes:
             "83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00",
             "FF FF FD 00 FE 11 00 83 74 00 04 00 01 96 00 00 00 02 AA 00 00 00 82 87",
         ),
-        (
-            0xFE,
-            "92 01 90 00 02 00 02 92 00 01 00",
-            "FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05",
-        ),
+        (0xFE, "92 01 90 00 02 00 02 92 00 01 00", "FF FF FD 00 FE 0D 00 92 01 90 00 02 00 02 92 00 01 00 1A 05"),
         (
             0xFE,
             "93 01 20 00 02 00 A0 00 02 1F 00 01 00 50",
@@ -78,6 +74,7 @@ def three_servos() -> PacketBus:
     """The servos of the manual's Fast Sync Read example, turned to where its positions are."""
     bus = PacketBus([DynamixelDevice("xc330-t288", ident) for ident in (3, 7, 4)])
     for device, position in zip(bus.devices, (166, 2079, 1023), strict=True):
+        device.registers.put("operating_mode", 4)  # in which every offset counts
         device.registers.put("homing_offset", position)
     return bus
 

@@ -33,8 +33,10 @@ from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, R
 from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.packets.frames import Framer
 from sim_backend.wire.packets.frames_1 import status_1, take_packet_1
-from sim_backend.wire.packets.regulator import COUNT, joint_at_horn
+from sim_backend.wire.packets.regulator import COUNT
 from sim_backend.wire.uart.pty_line import PtyLine
+
+from ..conftest import small_joint
 
 Make = Callable[..., Any]
 PACKETS = Protocol1PacketHandler()
@@ -64,7 +66,7 @@ def drive_on(rig: Any, servo: Any) -> None:
 def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:
     """A servo on a cable so soft that it turns far."""
     coupling = CouplingParameters(stiffness=stiffness, damping=2e-3, coulomb_friction=0.0)
-    return MxDevice(model, parameters=joint_at_horn(MX_MODELS[model], coupling))
+    return MxDevice(model, parameters=small_joint(coupling))
 
 
 # --- the emulator -----------------------------------------------------------------------------------------------------

@@ -167,6 +167,7 @@ def test_a_factory_reset_restores_the_defaults_except_what_it_is_asked_to_keep(l
 
 def test_clear_takes_whole_turns_off_the_position(line: tuple[Any, PacketBus]) -> None:
     port, bus = line
+    bus.devices[0].registers.put("operating_mode", 4)
     bus.devices[0].registers.put("homing_offset", 2 * 4096 + 5)
     assert PACKETS.read4ByteTxRx(port, 1, 132)[0] == 8197
     assert PACKETS.clearMultiTurn(port, 1) == (COMM_SUCCESS, 0)

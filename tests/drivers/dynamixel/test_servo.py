@@ -224,3 +224,15 @@ def test_the_page_on_it_shows_the_torque_constants_that_are_used() -> None:
     for name, model in models().items():
         if model.current_lsb:
             assert f"| {name} | {model.torque_constant:.3f} | {model.torque_uncertainty:.0%} |" in page
+
+
+def test_a_homing_offset_that_position_control_mode_ignores_moves_no_angle_when_the_servo_is_armed(
+    rig: Rig, limits: Limits
+) -> None:
+    rig.device.registers.put("homing_offset", 2000)
+    servo = rig.open()
+    before = servo.exchange(Command.rest()).motor_position
+    servo.arm(limits)
+    assert servo.exchange(Command.rest()).motor_position == before
+    servo.close()
+    assert rig.device.registers.get("operating_mode") == 3

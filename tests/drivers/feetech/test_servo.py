@@ -168,7 +168,7 @@ def test_a_limit_above_what_the_servo_can_do_is_never_written(make_feetech: Make
 @pytest.mark.parametrize("model", sorted(models()))
 def test_nothing_but_0_and_1_is_ever_written_to_torque_enable(make_feetech: Make, model: str) -> None:
     rig = make_feetech(model)
-    servo = rig.open(torque_constant=None if model == "scs0009" else 0.5, mode="position")
+    servo = rig.open(torque_constant=None if model == "scs0009" else 1.0, mode="position")
     servo.arm(LIMITS)
     drive(rig, servo, Command.rest())
     rig.device.ignores_torque_off = True

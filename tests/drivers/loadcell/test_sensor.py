@@ -277,31 +277,16 @@ def test_a_cell_on_a_pty_is_read_and_a_second_program_is_kept_off(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    "line",
+    ("form", "lines"),
     [
-        "",
-        "1",
-        "1,",
-        "1,2,3",
-        "1.5,2",
-        "-1,2",
-        "4294967296,1",
-        "1,8388607",
-        "1,-8388608",
-        "1,2*00",
-        "1,2x",
-        "1,99999999",
+        ("micros,raw", "|1|1,|1,2,3|1.5,2|-1,2|4294967296,1|1,8388607|1,-8388608|1,2*00|1,2x|1,99999999"),
+        ("value", "nan|inf|1e999|1,2|0x10|--1|1.2.3|1*00"),
     ],
 )
-def test_what_is_no_reading_is_refused(line: str) -> None:
-    with pytest.raises(BadReply):
-        parsed(line, "micros,raw")
-
-
-@pytest.mark.parametrize("line", ["nan", "inf", "1e999", "1,2", "0x10", "--1", "1.2.3", "1*00"])
-def test_what_is_no_value_is_refused(line: str) -> None:
-    with pytest.raises(BadReply):
-        parsed(line, "value")
+def test_what_is_no_reading_is_refused(form: Literal["micros,raw", "value"], lines: str) -> None:
+    for line in lines.split("|"):
+        with pytest.raises(BadReply):
+            parsed(line, form)
 
 
 def test_lines_are_put_together_whatever_the_pieces() -> None:

@@ -65,7 +65,7 @@ def test_force_position_has_no_more_torque_than_the_share_that_it_is_given(share
 def test_more_than_the_whole_is_the_whole() -> None:
     device = motor_in(FORCE_POSITION)
     tell(device, FORCE_POSITION, struct.pack("<fHH", 1e6, 0xFFFF, 0xFFFF))
-    assert device.motor.demand == min(TORQUE_RANGE, SPEED_GAIN * device.model.scale * 100.0)
+    assert device.motor.demand == min(TORQUE_RANGE, SPEED_GAIN * device.model.span[2] * 100.0)
 
 
 def test_position_and_speed_keeps_to_the_speed_that_it_is_given() -> None:

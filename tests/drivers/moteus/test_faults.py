@@ -8,10 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity
-from sim_backend.wire.moteus.device import (
-    OUTSIDE_LIMIT,
-    STOPPED,
-)
+from sim_backend.wire.moteus.device import OUTSIDE_LIMIT, STOPPED
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=70.0, position=(-3.0, 3.0))

@@ -81,7 +81,8 @@ def test_position_control_begins_where_the_motor_is() -> None:
     tell(device, TORQUE, struct.pack("<f", 0.0), 1.0)
     tell(device, MODE, struct.pack("<II", 3, 1), 1.0)
     device.advance(3.0)
-    assert device.motor.position == pytest.approx(turned, rel=0.5)
+    loop, joint = 20.0 / 6.0 / (2.0 * math.pi), 0.8  # N m/rad: pos_gain times vel_gain, and the joint against it
+    assert device.motor.position == pytest.approx(turned * loop / (loop + joint), rel=0.05)
 
 
 def introductions(bus: CanBus, begin: float) -> dict[int, int]:

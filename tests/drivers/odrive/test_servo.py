@@ -178,11 +178,14 @@ def test_one_tick_is_five_frames_and_their_time_on_the_wire(make_odrive: Make) -
 
 
 @pytest.mark.parametrize("firmware", FIRMWARES)
-def test_an_axis_with_a_heartbeat_of_1_s_is_opened_armed_driven_and_proven_off(
+def test_an_axis_with_a_heartbeat_of_half_a_second_is_proven_off_and_one_of_1_s_is_refused(
     make_odrive: Make, firmware: str
 ) -> None:
     rig = make_odrive(firmware)
     rig.device.endpoints.put("axis0.config.can.heartbeat_msg_rate_ms", 1000.0)
+    with pytest.raises(DriverError, match=r"a heartbeat every 1 s.+heartbeat_msg_rate_ms = 100"):
+        rig.open()
+    rig.device.endpoints.put("axis0.config.can.heartbeat_msg_rate_ms", 500.0)
     servo = rig.open()
     servo.arm(LIMITS)
     for _ in range(20):

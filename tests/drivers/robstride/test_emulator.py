@@ -137,7 +137,7 @@ def test_position_modes_go_to_their_angle_within_their_speed(mode: int, fastest:
         device.advance(step * 1e-3)
         most = max(most, abs(device.motor.velocity))
     assert 0.3 < most < 1.2
-    assert device.angle > 0.1
+    assert device.angle > 0.04  # a loop without an integral, against the joint
 
 
 def test_a_zero_is_taken_in_every_mode_but_pp() -> None:

@@ -61,6 +61,8 @@ def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at
         table.validate_python(good | {"id": 3, "host_id": 3})
     with pytest.raises(ValueError, match=r"robstride\.model 'rs9' is not known"):
         RobstrideConfig(interface="socketcan", channel="can0", model="rs9")
+    with pytest.raises(ValueError, match=r"has no watchdog .* set robstride\.watchdog = 0"):
+        RobstrideConfig(interface="socketcan", channel="can0", model="cybergear")
 
 
 def test_both_sides_know_the_same_motors() -> None:

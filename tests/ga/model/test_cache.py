@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ga.model.cache import kept
+from ga.model.cache import Kept
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 
@@ -24,7 +24,7 @@ MODELS = (
     "linear+offset+coulomb+asymmetric+smooth+capstan+mean",
     "linear+offset+boucwen+inertia+hardening+deadband",
     "linear+offset+toe+backlash+gear",
-    "linear+offset+lugre+exponential+slack",
+    "linear+offset+dahl+exponential+slack",
     "linear+offset+sheath+progressive",
 )
 
@@ -57,9 +57,9 @@ def test_kept_columns_are_those_computed_without() -> None:
 
 
 def test_what_was_asked_for_last_is_kept() -> None:
-    found: dict[int, list[int]] = {}
-    first = kept(found, 0, lambda: [0])
+    kept = Kept()
+    first = kept.get("of a kind", 0, lambda: [0], 2)
     for other in range(1, 9):
-        assert kept(found, other, lambda: [0]) is not first
-        assert kept(found, 0, lambda: [0]) is first
-    assert list(found) == [8, 0]
+        assert kept.get("of a kind", other, lambda: [0], 2) is not first
+        assert kept.get("of a kind", 0, lambda: [0], 2) is first
+    assert [kept.recalled("of a kind", key) is None for key in range(9)] == [False, *[True] * 7, False]

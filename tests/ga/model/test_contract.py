@@ -145,6 +145,13 @@ def test_the_bounds_of_a_term_are_finite_and_hold_what_its_records_say(term: Ter
             assert all(0.0 <= start <= 1.0 for start in one.starts)
 
 
+@ALL
+def test_a_term_has_an_example_of_its_parameters_of_which_one_is_small_plain_and_large(term: Term) -> None:
+    words = [word.partition(" ") for word in term.example.split("; ")]
+    assert [name for name, _, _ in words] == [one.name for one in term.parameters]
+    assert sorted(values.count(",") for _, _, values in words) == [0] * (len(words) - 1) + [2]
+
+
 def test_the_page_of_models_names_every_term_and_its_parameters() -> None:
     rows = [line.split("|") for line in PAGE.splitlines() if line.startswith("|")]
     for term in TERMS.values():

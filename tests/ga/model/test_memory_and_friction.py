@@ -11,10 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.signal import cont2discrete, lfilter
 
-from ga.model import polishing
 from ga.model.coupling import CouplingModel, parse
-from ga.model.polishing import polished
-from ga.model.separable import Fit, Problem, descend, fit
+from ga.model.separable import Fit, Problem, fit
 from ga.model.sticking import is_hidden, looks_like_spring
 from ga.model.terms import TERMS, is_addable
 from ga.model.trajectory import Motion
@@ -93,14 +91,7 @@ def test_a_lag_begins_anew_in_every_stretch() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "linear+offset+lag",
-        "linear+offset+skew+lag",
-        "linear+maxwell",
-        "linear+dahl",
-        "linear+lugre",
-        "linear+boucwen",
-    ],
+    ["linear+offset+lag", "linear+offset+skew+lag", "linear+maxwell", "linear+dahl", "linear+boucwen"],
 )
 def test_some_rows_remember_the_samples_between_them(name: str) -> None:
     model = parse(name).anchored(MOTION)
@@ -121,32 +112,6 @@ def test_a_recording_may_begin_in_the_middle_of_a_motion(constant: float) -> Non
     found = asked.solve(np.array([constant]))
     assert np.abs(asked.residuals(found)).max() < 2e-3 * np.abs(torque).max()
     assert np.allclose(found.optimum.genes, [KC, BC], rtol=1e-3)
-
-
-@pytest.mark.study
-def test_a_skew_and_a_lag_are_fitted_no_worse_than_either_alone_from_wherever_the_search_begins() -> None:
-    """They are so much alike that Gauss-Newton steps end before the minimum."""
-    constant = 1.0 / (2.0 * np.pi * 30.0)
-    torque = KC * steady_lag(MOTION.time, constant) + BC * steady_lag(MOTION.time, constant, 1) + NOISES
-    asked = problem("linear+skew+lag", torque)
-    starts = np.array([[-1e-3, 4e-3], [0.0, 5e-3], [1e-3, 1e-3]])
-    ends = [polished(asked, descend(asked, start)).fitness for start in starts]
-    assert max(ends) <= min(ends) * (1.0 + 1e-6)
-    assert max(ends) <= fit(problem("linear+lag", torque)).fitness
-
-
-def test_a_step_that_has_no_proven_optimum_ends_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its columns are too nearly collinear: what was found before stands, and other places are still looked at."""
-    asked = problem("linear+skew+lag", spring_and_damper() + NOISES)
-    begun = descend(asked, np.array([1e-3, 1e-3]))
-
-    def refused(*_: object) -> None:
-        raise RuntimeError("no optimal vertex was found")
-
-    monkeypatch.setattr(polishing, "not_negative", refused)
-    assert polished(asked, begun).fitness <= begun.fitness
-    monkeypatch.setattr(Problem, "solve", refused)
-    assert polishing._floor(asked, begun.nonlinear, begun, np.eye(2)) is begun
 
 
 def test_a_cells_lag_comes_back_with_stiffness_and_damping() -> None:
@@ -250,14 +215,6 @@ def test_friction_that_builds_up_comes_back() -> None:
     torque = spring_and_damper() + 0.005 * MOTION.presliding(0.02) + NOISES
     expected = {"Kc": KC, "Bc": BC, "Fd": 0.005, "reach": 0.02}
     assert identified("linear+dahl", torque) == pytest.approx(expected, rel=0.04)
-
-
-def test_friction_that_builds_up_and_falls_with_the_rate_comes_back_and_leaves_bc_alone() -> None:
-    torque = spring_and_damper() + 0.005 * MOTION.bristles(0.02, 0.6, 2.0) + NOISES
-    found = identified("linear+lugre", torque)
-    assert [found[name] for name in ("Kc", "Bc", "Fd", "reach")] == pytest.approx([KC, BC, 0.005, 0.02], rel=0.04)
-    assert [found[name] for name in ("rise", "vst")] == pytest.approx([0.6, 2.0], rel=0.15)
-    assert identified("linear+dahl", torque)["Bc"] < 0.95 * BC
 
 
 @pytest.mark.parametrize("rest", [0.02, 1.5 * float(MOTION.dtheta.min())])

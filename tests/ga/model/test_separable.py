@@ -129,6 +129,18 @@ def test_play_comes_back_with_its_centre_and_flanks_that_push_only() -> None:
     assert found.lag == pytest.approx(BC / KC, rel=0.02)
 
 
+@pytest.mark.parametrize("gap", [0.004, 0.06])
+def test_play_comes_back_where_the_flanks_part_at_its_edge(gap: float) -> None:
+    """The damper acts until the deflection has left the flank, and pulls there."""
+    beyond = np.sign(MOTION.dtheta) * np.maximum(np.abs(MOTION.dtheta) - 0.5 * gap, 0.0)
+    torque = KC * beyond + BC * MOTION.dtheta_dot * (beyond != 0.0) + noise()
+    found = fit(problem("linear+offset+backlash", torque))
+    assert found.lag == 0.0
+    assert found.nonlinear == pytest.approx([gap, 0.0], abs=2e-3)
+    assert found.values[:2] == pytest.approx([KC, BC], rel=0.015)
+    assert found.fitness < fit(problem("linear", torque)).fitness
+
+
 def test_a_slack_tendon_comes_back() -> None:
     beyond = np.maximum(MOTION.dtheta - 0.05, 0.0)
     torque = KC * beyond + BC * MOTION.dtheta_dot

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from drivers.ports import emulation
 from drivers.servo import Quantity, ServoInfo
-from hil.acquisition.commissioning import Commissioning, identity, permitted
+from hil.acquisition.commissioning import Commissioning, identity, permitted, require_agreement
 from hil.acquisition.excitation import Profile, make
 from hil.errors import WrongUse
 from hil.stand.file import Stand, load, parse
@@ -152,3 +156,51 @@ def test_a_drive_without_a_serial_number_is_known_by_model_id_and_firmware() -> 
     kept(by_id)
     assert limit(stand(), by_id) == 0.4
     assert limit(stand(), replace(by_id, serial="id 4")) == 0.2
+
+
+@pytest.fixture
+def pty(tmp_path: Path) -> Iterator[Path]:
+    """A symlink to a pty, with a name as that of a real adapter."""
+    ends = os.openpty()
+    link = tmp_path / "ttyUSB0"
+    link.symlink_to(os.ttyname(ends[1]))
+    yield link
+    for end in ends:
+        os.close(end)
+
+
+def test_what_was_shown_on_an_emulator_counts_there_only(pty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    on = parse(stand(backend="dynamixel").text + f'[dynamixel]\nport = "{pty}"\nmodel = "xl330-m288"\n')
+    info = ServoInfo("dynamixel", "xl330-m288", "id 1", "52", watchdog=0.1, serial_is_id=True)
+    good, asked = replace(GOOD, firmware="52"), list[str]()
+    kept(info, outcome=good, opened=on)
+    assert limit(on, info) == 0.4
+    require_agreement(on, Quantity.TORQUE, "moves", asked.append)
+    assert asked == []
+    with monkeypatch.context() as later:  # the link leads to a real adapter now
+        later.setattr("hil.acquisition.drive_memory.emulation", lambda _table: "")
+        assert limit(on, info) == 0.2
+        require_agreement(on, Quantity.TORQUE, "moves", asked.append)
+        assert len(asked) == 1
+        kept(info, outcome=replace(good, releases=False), opened=on)
+    kept(info, outcome=good, opened=on)
+    monkeypatch.setattr("hil.acquisition.drive_memory.emulation", lambda _table: "")
+    with pytest.raises(WrongUse, match="Nothing was driven"):
+        permitted(on, info, profile(0.1))
+
+
+def test_the_device_says_whether_a_link_is_emulated_not_its_name(pty: Path, tmp_path: Path) -> None:
+    def kind(port: object, interface: str | None = None) -> str:
+        end = {"port": str(port)} if interface is None else {"interface": interface, "channel": str(port)}
+        return emulation(SimpleNamespace(**end), tmp_path)
+
+    for made in ("dev/char/1:3/device", "class/net/ttyUSB0/device"):
+        (tmp_path / made).mkdir(parents=True)
+    assert [kind(pty), kind(pty, "slcan"), kind(f"{pty}@115200", "slcan"), kind(pty, "damiao")] == ["pty"] * 4
+    assert [kind("/dev/null"), kind("/dev/zero"), kind("loop://")] == [
+        "",
+        "virtual port",
+        "loop",
+    ]  # with a device or not
+    assert [kind("ttyUSB0", "socketcan"), kind("can0", "socketcan"), kind("1", "pcan")] == ["", "can0", ""]
+    assert [kind("239.0.0.1", "udp_multicast"), kind("0", "virtual")] == ["udp_multicast", "virtual"]

@@ -95,10 +95,8 @@ def test_a_run_that_would_overheat_the_winding_is_refused_with_the_duration_that
     budget(4 * 0.016, said - 1.0).start(at_rest(), [])
 
 
-def test_a_refused_run_says_how_long_the_motor_must_rest_and_may_begin_then(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    HeatMemory(INFO).keep(Temperatures(74.0, 25.0), NOW)
+def test_a_refused_run_says_how_long_the_motor_must_rest_and_may_begin_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    HeatMemory(stand(), INFO).keep(Temperatures(74.0, 25.0), NOW)
     with pytest.raises(TooHot, match=r"let it cool down for \d+ s") as refused:
         budget(4 * 0.016, 10.0).start(at_rest(), [])
     rest = refused.value.rest
@@ -171,21 +169,21 @@ def test_a_reported_temperature_above_the_estimate_counts() -> None:
 def test_the_next_run_begins_where_the_last_one_ended_and_cools_with_the_time_of_day(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
     model = stand().winding
     assert model is not None
     made = model.model(80.0)
     for rested in (0.0, 60.0, 1e6):
         monkeypatch.setattr("hil.acquisition.heat.time.time", lambda rested=rested: NOW + rested)
         run = budget(0.004, 1.0)
-        HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+        HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
         run.start(at_rest(), [])
         assert run.state == pytest.approx(made.after(Temperatures(70.0, 30.0), 0.0, rested))
 
 
 def test_a_clock_that_was_set_back_cools_nothing() -> None:
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW + 1e6)
-    assert HeatMemory(INFO).load(_model(), NOW) == (70.0, 30.0)
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW + 1e6)
+    assert HeatMemory(stand(), INFO).load(_model(), NOW) == (70.0, 30.0)
 
 
 @pytest.mark.parametrize(("boot", "rested"), [("this", 60.0), ("another", 1e6)])
@@ -193,10 +191,10 @@ def test_a_clock_that_was_set_forward_since_the_computer_started_cools_nothing_m
     monkeypatch: pytest.MonkeyPatch, boot: str, rested: float
 ) -> None:
     monkeypatch.setattr("hil.acquisition.heat.since_boot", lambda: ("this", 500.0))
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
     monkeypatch.setattr("hil.acquisition.heat.since_boot", lambda: (boot, 560.0))
     model = _model()
-    assert HeatMemory(INFO).load(model, NOW + 1e6) == model.after(Temperatures(70.0, 30.0), 0.0, rested)
+    assert HeatMemory(stand(), INFO).load(model, NOW + 1e6) == model.after(Temperatures(70.0, 30.0), 0.0, rested)
 
 
 def _model() -> WindingModel:
@@ -206,18 +204,18 @@ def _model() -> WindingModel:
 
 
 def test_each_drive_has_a_memory_of_its_own_and_the_simulated_one_none(state_folder: Path) -> None:
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
-    assert HeatMemory(ServoInfo("dynamixel", "xl330/m288", serial="id 2")).load(_model(), NOW) == _model().cold
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
+    assert HeatMemory(stand(), ServoInfo("dynamixel", "xl330/m288", serial="id 2")).load(_model(), NOW) == _model().cold
     budget(0.004, 1.0, "sim").start(at_rest(), [])
     assert [path.name for path in state_folder.iterdir()] == ["dynamixel_xl330_m288_id_1.json"]
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"time": 0, "winding_degC": NaN, "case_degC": 1}', "x" * 5000])
 def test_a_memory_that_cannot_be_read_is_not_taken_for_a_cold_motor(state_folder: Path, text: str) -> None:
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
     next(state_folder.iterdir()).write_text(text)
     with pytest.raises(WrongUse, match="let the motor cool down, then delete the file"):
-        HeatMemory(INFO).load(_model(), NOW)
+        HeatMemory(stand(), INFO).load(_model(), NOW)
 
 
 def test_a_memory_that_cannot_be_written_refuses_the_run_before_it_begins(
@@ -232,7 +230,7 @@ def test_a_memory_that_cannot_be_written_refuses_the_run_before_it_begins(
 def test_a_memory_that_cannot_be_looked_for_is_not_taken_for_a_cold_motor(state_folder: Path) -> None:
     state_folder.mkdir(parents=True)
     with pytest.raises(WrongUse, match="File name too long"):
-        HeatMemory(replace(INFO, serial="1" * 300)).load(_model(), NOW)
+        HeatMemory(stand(), replace(INFO, serial="1" * 300)).load(_model(), NOW)
 
 
 def test_a_memory_that_could_not_be_kept_leaves_the_one_before_and_nothing_else(
@@ -241,11 +239,11 @@ def test_a_memory_that_could_not_be_kept_leaves_the_one_before_and_nothing_else(
     def full(*_: object, **__: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    HeatMemory(INFO).keep(Temperatures(70.0, 30.0), NOW)
+    HeatMemory(stand(), INFO).keep(Temperatures(70.0, 30.0), NOW)
     monkeypatch.setattr("hil.recording.output.take_name", full)
     with pytest.raises(WrongUse, match="No space left on device"):
-        HeatMemory(INFO).keep(Temperatures(25.0, 25.0), NOW)
-    assert HeatMemory(INFO).load(_model(), NOW) == Temperatures(70.0, 30.0)
+        HeatMemory(stand(), INFO).keep(Temperatures(25.0, 25.0), NOW)
+    assert HeatMemory(stand(), INFO).load(_model(), NOW) == Temperatures(70.0, 30.0)
     assert len(list(state_folder.iterdir())) == 1
 
 
@@ -255,14 +253,14 @@ def test_no_memory_depends_on_the_working_directory(
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "state")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert StoredFacts.of_drive("heat", INFO).path.is_relative_to(tmp_path / ".local" / "state")
+    assert StoredFacts.of_drive("heat", stand(), INFO).path.is_relative_to(tmp_path / ".local" / "state")
     if home is None:
         monkeypatch.delenv("HOME")
         monkeypatch.setattr("pwd.getpwuid", {}.__getitem__)
     else:
         monkeypatch.setenv("HOME", home)
     with pytest.raises(WrongUse, match="set XDG_STATE_HOME"):
-        HeatMemory(INFO)
+        HeatMemory(stand(), INFO)
 
 
 def test_positions_are_not_predicted_and_a_stand_without_the_table_has_no_budget() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -48,6 +49,16 @@ def ended(
     return None
 
 
+def said_at_the_end(size: float, noise: float, frequency: float = 2.0, rate: float = RATE) -> list[str]:
+    """What a run of 10 s names whose torque swings, or holds, at `size` of its limit under noise of this share."""
+    guard = Guard(LIMITS, moves=0.05)
+    for tick in range(round(10.0 * rate)):
+        t = tick / rate
+        torque = size * math.cos(2.0 * math.pi * frequency * t + 0.3 * (frequency > 0.0)) + noise * _noise[tick]
+        guard.check(Sample(t, t, motor_position=1e-6 * tick), AtJoint(0.1 * torque, 0.0, 0.0))
+    return guard.exceeded(-1.0)
+
+
 def torque(value: Callable[[int, float], float]) -> Change:
     return lambda tick, sample, joint: (sample, joint._replace(torque=value(tick, joint.torque)))
 
@@ -71,7 +82,7 @@ def test_a_sound_run_up_to_its_limits_is_never_ended(size: float) -> None:
         (
             "1.05 of the limit for ever",
             torque(lambda k, _: 0.105 + 1e-6 * (k % 2)),
-            0.26,
+            0.28,
             LimitReached,
             "the torque reached 0.105",
         ),
@@ -115,6 +126,33 @@ def test_what_must_end_a_run_does_within_its_time(
     assert isinstance(error, kind)
     assert words in str(error)
     assert tick / RATE <= within
+
+
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+@pytest.mark.parametrize("frequency", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize(("size", "noise"), [(1.01, 0.0), (1.01, 2e-3), (1.005, 1e-3), (1.019, 3e-3)])
+def test_what_lies_over_a_limit_by_more_than_its_noise_is_named_at_the_end(
+    size: float, noise: float, frequency: float, rate: float
+) -> None:
+    (said,) = said_at_the_end(size, noise, frequency, rate)
+    words = r"the torque was above its limit of 0.1 N m in \d+ rows from 1(\.\d+)? s on, by .* % at most"
+    assert re.fullmatch(words, said)
+
+
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+@pytest.mark.parametrize("frequency", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2, 3e-2])
+def test_noise_at_a_limit_ends_no_run_and_is_not_named(noise: float, frequency: float, rate: float) -> None:
+    assert said_at_the_end(1.0, noise, frequency, rate) == []
+
+
+def test_a_step_to_one_percent_above_a_limit_is_named_and_what_its_last_count_may_be_is_not() -> None:
+    for count, named in ((math.nan, 1), (0.0015, 1), (0.0025, 0)):  # N m: half of it is less or more than 1 mN m
+        guard = Guard(LIMITS, moves=0.05, counts=AtJoint(torque=count))
+        for tick in range(500):
+            torque = 0.101 if 100 <= tick < 114 else 0.02
+            guard.check(Sample(0.002 * tick, 0.0, motor_position=1e-6 * tick), AtJoint(torque, 0.0, 0.0))
+        assert len(guard.exceeded(0.0)) == named
 
 
 @pytest.mark.study

@@ -159,7 +159,9 @@ def test_silence_ends_the_run_with_the_torque_off(bench: Bench) -> None:
     assert bench.events() == ["NoReply"]
 
 
-@pytest.mark.parametrize("error", [LinkLost("cable"), DeviceFault(32, "overload"), OSError(5, "I/O error")])
+@pytest.mark.parametrize(
+    "error", [LinkLost("cable"), DeviceFault(32, "overload"), OSError(5, "I/O error"), ZeroDivisionError("of our own")]
+)
 def test_a_fault_ends_the_run_at_once_and_keeps_the_data(bench: Bench, error: Exception) -> None:
     bench.servo.script = {70: error}
     outcome = bench.run()
@@ -190,13 +192,6 @@ def test_a_limit_passed_ends_the_run_in_few_ticks(bench: Bench, changes: dict[st
 def test_one_odd_reading_does_not_throw_a_recording_away(bench: Bench) -> None:
     bench.servo.script = {80: {"joint_torque": 0.12}, 82: {"joint_torque": 0.12}}
     assert bench.run().end_reason == "done"
-
-
-def test_a_warm_motor_is_not_started(bench: Bench) -> None:
-    bench.servo.rest = {"temperature": 56.0}
-    outcome = bench.run()
-    assert isinstance(outcome.error, LimitReached)
-    assert (outcome.samples, bench.servo.driven) == (0, [])
 
 
 @pytest.mark.parametrize(
@@ -252,14 +247,6 @@ def test_no_number_of_signals_skips_the_torque_off(bench: Bench) -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_an_error_nobody_foresaw_still_leaves_the_torque_off(bench: Bench) -> None:
-    bench.servo.script = {10: ZeroDivisionError("a fault of our own")}
-    outcome = bench.run()
-    assert isinstance(outcome.error, ZeroDivisionError)
-    assert outcome.samples == 10
-    assert not bench.servo.armed
-
-
 @pytest.mark.parametrize(
     "trouble", [NoReply("no answer to torque off"), OSError(5, "I/O error"), RuntimeError("a fault of the driver's")]
 )
@@ -269,7 +256,7 @@ def test_a_torque_off_that_is_not_confirmed_is_shouted(bench: Bench, trouble: Ex
     assert outcome.alarm.startswith("CUT THE POWER: ")
     assert outcome.alarm in outcome.end_reason
     assert outcome.error is trouble
-    assert bench.servo.disarms == 20
+    assert bench.servo.disarms == 100
 
 
 def test_a_torque_off_that_is_not_confirmed_is_shouted_over_an_earlier_error(bench: Bench) -> None:
@@ -429,19 +416,18 @@ def test_an_axis_that_rests_is_not_taken_for_a_frozen_one(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(("temperature", "starts"), [(55.0, True), (55.5, False)])
-def test_a_motor_is_started_up_to_fifteen_degrees_below_its_limit(
-    bench: Bench, temperature: float, starts: bool
+@pytest.mark.parametrize("before", [True, False])
+def test_a_motor_is_started_up_to_fifteen_and_runs_up_to_five_degrees_below_its_limit(
+    bench: Bench, temperature: float, starts: bool, before: bool
 ) -> None:
-    bench.servo.rest = {"temperature": temperature}
-    assert (bench.run().end_reason == "done") == starts
-
-
-@pytest.mark.parametrize(("temperature", "goes_on"), [(65.0, True), (65.5, False)])
-def test_a_motor_runs_up_to_five_degrees_below_its_limit(bench: Bench, temperature: float, goes_on: bool) -> None:
-    bench.servo.script = {100: {"temperature": temperature}}
+    if before:
+        bench.servo.rest = {"temperature": temperature}
+    else:
+        bench.servo.script = {100: {"temperature": temperature + 10.0}}
     outcome = bench.run()
-    assert (outcome.end_reason == "done") == goes_on
-    assert isinstance(outcome.error, LimitReached) != goes_on
+    assert (outcome.end_reason == "done") == starts
+    assert isinstance(outcome.error, LimitReached) != starts
+    assert starts or not before or (outcome.samples, bench.servo.driven) == (0, [])
 
 
 def test_every_set_point_is_worked_out_before_the_motor_is_live(tmp_path: Path) -> None:
@@ -559,20 +545,18 @@ def test_missed_ticks_are_rows_and_their_set_points_are_not_replayed(tmp_path: P
     assert (np.diff(run.rows.channel("time")) > 0.0).all()
 
 
-def test_a_tick_more_than_ten_milliseconds_late_ramps_the_torque_to_zero(tmp_path: Path) -> None:
+def test_a_tick_more_than_ten_milliseconds_late_ramps_the_torque_to_zero_and_one_of_fifty_is_the_last(
+    tmp_path: Path,
+) -> None:
+    run = Stalled(tmp_path, 51e-3)  # more than 50 ms: it is the last
+    assert isinstance(run.outcome.error, LimitReached)
+    assert (len(run.servo.driven), run.servo.armed, run.servo.disarms) == (1000, False, 1)
     run = Stalled(tmp_path, 30.2e-3)
     assert isinstance(run.outcome.error, LimitReached)
     assert "30 ms late" in run.outcome.end_reason
     assert not run.servo.armed
     assert len(run.status) == 1100
     np.testing.assert_allclose(run.rows.channel("command")[1030:], run.wanted[1030:] * np.linspace(0.7, 0.01, 70))
-
-
-def test_a_tick_more_than_fifty_milliseconds_late_is_the_last(tmp_path: Path) -> None:
-    run = Stalled(tmp_path, 51e-3)
-    assert isinstance(run.outcome.error, LimitReached)
-    assert len(run.servo.driven) == 1000
-    assert (run.servo.armed, run.servo.disarms) == (False, 1)
 
 
 class Slow:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import math
 import os
 import signal
 import subprocess
@@ -11,10 +12,12 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.clock import VirtualClock
@@ -30,9 +33,10 @@ from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
 from hil.errors import WrongUse
 from hil.recording import writer as writer_module
+from hil.recording.channels import TorqueScale
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
-from hil.stand.file import parse
+from hil.stand.file import SIMULATED, parse
 from sim_backend.faults import EncoderFreezes, Fault, LinkDrops, RepliesRepeat, Silence
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo
@@ -71,6 +75,17 @@ def spring(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> SpringServo:
 
 def record(*words: str) -> int:
     return cli.run(["record", "--backend", "sim", "--rate", "100", "--band", "2", "--profile", "sine", *words])
+
+
+def test_a_recording_says_how_well_the_scale_of_its_torque_is_known(spring: SpringServo) -> None:
+    table = "mx-64's torque constant of the maker's table"
+    cell: tuple[str, Any] = ("cell", {})
+    for known, sensor, words in ((0.25, None, table), (math.nan, None, "mx-64"), (0.25, cell, "the torque cell")):
+        spring.info = replace(spring.info, model="mx-64", torque_uncertainty=known)
+        run(replace(STAND, sensor=sensor), profile(0.2), rate=RATE, seed=0, output=Path("a.h5"), force=True)
+        with Recording(Path("a.h5")) as recording:
+            assert TorqueScale.stored(recording.attributes).source == words
+            assert TorqueScale.stored(recording.attributes).included == (0.25 if words == table else 0.0)
 
 
 # --- the question before a real motor moves --------------------------------------------------------------------------
@@ -232,11 +247,7 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
 
 @pytest.mark.parametrize(
     ("fault", "status"),
-    [
-        (LinkDrops(1.0), 3),
-        (EncoderFreezes(1.0), 3),
-        (RepliesRepeat(1.0, 2.0), 3),
-    ],
+    [(LinkDrops(1.0), 3), (EncoderFreezes(1.0), 3), (RepliesRepeat(1.0, 2.0), 3)],
     ids=lambda value: type(value).__name__,
 )
 def test_what_goes_wrong_on_the_simulated_stand_ends_the_run_and_the_torque(
@@ -309,18 +320,15 @@ def test_an_outcome_that_cannot_be_printed_does_not_hide_how_the_run_ended(
             assert len(recording) == rows
 
 
-def test_every_row_is_on_disk_before_the_alarm_is_raised(spring: SpringServo, tmp_path: Path) -> None:
+def test_an_alarm_that_raises_costs_no_row(spring: SpringServo, tmp_path: Path) -> None:
     spring.disarm_error = OSError(5, "Input/output error")
-    seen: list[int] = []
 
     def alarm(_: str) -> None:
-        with Recording(tmp_path / "a.h5.part") as recording:
-            seen.append(len(recording))
         raise RuntimeError("nobody listens")
 
     outcome = run(STAND, profile(0.5), rate=RATE, seed=0, output=tmp_path / "a.h5", alarm=alarm)[1]
-    assert seen == [outcome.samples] == [51]
-    assert (tmp_path / "a.h5").exists()
+    with Recording(tmp_path / "a.h5") as recording:
+        assert len(recording) == outcome.samples == 51
 
 
 @pytest.mark.study
@@ -359,7 +367,7 @@ def test_the_servo_is_closed_however_a_run_ends(spring: SpringServo, monkeypatch
     assert record("-o", "b.h5") == 3
     assert record("-o", "none/c.h5") == 2
     monkeypatch.setattr(run_module, "RecordingWriter", lambda *_: 1 / 0)
-    assert record("-o", "d.h5") == 1
+    assert record("-o", "d.h5") == 70
     assert closed == [False, False, False]
 
 
@@ -498,39 +506,37 @@ def test_a_disk_that_does_not_answer_in_virtual_time_is_refused_before_anything_
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]
 
 
-def test_a_run_that_a_fault_ends_says_where_its_rows_are_when_its_name_was_taken_meanwhile(
+def test_a_run_whose_file_is_gone_says_where_its_rows_are_or_that_none_can_be_read(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def finish(writer: RecordingWriter, end_reason: str, *, force: bool = False) -> Path:
-        writer.final.write_text("mine")
-        return finished(writer, end_reason, force=force)
-
+    """Its name was taken meanwhile, while a fault ended it; its file was cut off."""
     finished = RecordingWriter.finish
-    monkeypatch.setattr(RecordingWriter, "finish", finish)
     monkeypatch.chdir(tmp_path)
     Path("plan.toml").write_text('[[fault]]\nkind = "over-temperature"\nat = 0.5\n')
-    assert cli.run(["record", "--backend", "sim", "--duration", "1", "--faults", "plan.toml", "-o", "a.h5"]) == 4
-    said = capfd.readouterr().err
-    assert "winding reached 150" in said
-    assert "a.h5 exists" in said
-    assert "hil recover a.h5.part -o OTHER.h5" in said
+    words = ["record", "--backend", "sim", "--duration", "1", "-o"]
+    for happens, name, more, status, said in (
+        (
+            lambda writer: writer.final.write_text("mine"),
+            "a.h5",
+            ["--faults", "plan.toml"],
+            4,
+            ("winding reached 150", "a.h5 exists", "hil recover a.h5.part -o OTHER.h5"),
+        ),
+        (lambda writer: os.truncate(writer.path, 1000), "b.h5", [], 2, ("no row that can be read",)),
+    ):
+
+        def finish(
+            writer: RecordingWriter, end_reason: str, *, force: bool = False, happens: Callable[..., Any] = happens
+        ) -> Path:
+            happens(writer)
+            return finished(writer, end_reason, force=force)
+
+        monkeypatch.setattr(RecordingWriter, "finish", finish)
+        assert cli.run([*words, name, *more]) == status
+        err = capfd.readouterr().err
+        assert all(part in err for part in said)
+        assert "is safe" not in err or status == 4
     assert Path("a.h5").read_text() == "mine"
-
-
-def test_a_run_whose_file_was_cut_off_is_not_said_to_be_safe(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def finish(writer: RecordingWriter, end_reason: str, *, force: bool = False) -> Path:
-        os.truncate(writer.path, 1000)
-        return finished(writer, end_reason, force=force)
-
-    finished = RecordingWriter.finish
-    monkeypatch.setattr(RecordingWriter, "finish", finish)
-    monkeypatch.chdir(tmp_path)
-    assert cli.run(["record", "--backend", "sim", "--duration", "1", "-o", "a.h5"]) == 2
-    said = capfd.readouterr().err
-    assert "no row that can be read" in said
-    assert "is safe" not in said
 
 
 def test_faults_are_planned_for_a_simulated_stand_only(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -581,16 +587,31 @@ def test_recorders_that_start_at_once_use_different_names(
     assert not spring.armed
 
 
+@pytest.mark.parametrize("over", [0.99, 1.01])
+def test_a_run_that_exceeds_a_limit_by_one_percent_is_complete_names_it_and_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], over: float
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["--profile", "sine", "--band", "2", "--duration", "4", "--amplitude", "0.005"]
+    assert cli.run(["record", "--backend", "sim", *words, "-o", "a.h5"]) == 0
+    with Recording(tmp_path / "a.h5") as recording:
+        limit = float(np.abs(recording.channel("dtheta")).max()) / over
+        rows = len(recording)
+    Path("stand.toml").write_text(SIMULATED.replace("deflection = 1.0", f"deflection = {limit}"))
+    assert cli.run(["record", "--stand", "stand.toml", *words, "-o", "b.h5"]) == int(over > 1.0)
+    said = " ".join(capfd.readouterr().err.split())
+    assert ("[over-limit]" in said) == ("the deflection was above its limit" in said) == (over > 1.0)
+    with Recording(tmp_path / "b.h5") as recording:
+        assert len(recording) == rows
+
+
 # --- lateness --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("late", [(5, 1, "error"), (20, 0, "warning")])
 def test_a_run_whose_ticks_come_late_is_not_taken_for_a_good_one(
-    spring: SpringServo,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-    late: tuple[int, int, str],
+    spring: SpringServo, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], late: tuple[int, int, str]
 ) -> None:
     every, status, message = late
     exchange = spring.exchange
@@ -619,7 +640,7 @@ def test_a_rate_no_drive_or_not_this_one_can_keep_is_wrong_use(
 
 
 @pytest.mark.study
-def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted(
+def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted_and_the_lowest_in_a_good_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """A round trip of 0.6 ms in a period of 0.5 ms."""
@@ -628,14 +649,7 @@ def test_a_rate_the_servo_cannot_quite_keep_ends_in_a_run_not_to_be_trusted(
     assert "many-late" in capfd.readouterr().err
     with Recording(tmp_path / "a.h5") as recording:
         assert len(recording) == 2001
-
-
-@pytest.mark.study
-def test_the_lowest_rate_keeps_a_watchdog_of_a_tenth_of_a_second_quiet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.run(["record", "--backend", "sim", "--rate", "20", "--band", "0.5:2", "-o", "a.h5"]) == 0
+    assert cli.run(["record", "--backend", "sim", "--rate", "20", "--band", "0.5:2", "-o", "b.h5"]) == 0
 
 
 def test_an_interrupted_torque_off_is_retried_until_the_silence_ends(
@@ -657,12 +671,6 @@ def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> Outcome:
         "[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
     )
     made = excitation.make(
-        "sine",
-        Quantity.TORQUE,
-        amplitude=0.005,
-        default_amplitude=1.0,
-        duration=4.0,
-        band=(2.0, 2.0),
-        rate=500.0,
+        "sine", Quantity.TORQUE, amplitude=0.005, default_amplitude=1.0, duration=4.0, band=(2.0, 2.0), rate=500.0
     )
     return run(stand, made, rate=500.0, seed=0, output=Path("a.h5"))[1]

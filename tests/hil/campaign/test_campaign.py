@@ -17,12 +17,14 @@ import pytest
 from drivers.servo import DriverError
 from hil.acquisition.heat import TooHot
 from hil.acquisition.limits import LimitReached
-from hil.api.runs import simulate
+from hil.acquisition.phases import Outcome
+from hil.api.runs import Run, simulate
 from hil.campaign.conduct import Desk, record_all
 from hil.campaign.journal import Journal
-from hil.campaign.page import diagnostics
+from hil.campaign.page import diagnostics, table, write_page
 from hil.campaign.plan import load
-from hil.campaign.results import Line, Results, Value, marked, scores
+from hil.campaign.results import Line, Measured, Results, Value, marked, scores
+from hil.diagnostics import Diagnostic, over_limit
 from hil.errors import Declined, WrongUse
 from hil.stand.toml_table import line_of
 
@@ -157,6 +159,17 @@ def test_recordings_of_a_real_joint_wait_for_it_to_cool_down(plan: Path, monkeyp
     assert waits == [60.0, 60.0]
 
 
+def test_a_recording_that_exceeded_a_limit_is_named(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def over(path: Path, *words: object, **settings: object) -> Run:
+        del words, settings
+        return Run(path, Outcome(samples=9), (over_limit("the torque was above its limit"),))
+
+    monkeypatch.setattr("hil.campaign.conduct.simulate", over)
+    loaded, said = load(plan), list[str]()
+    record_all(loaded, Journal(loaded), Desk(said.append, lambda _text: None))
+    assert sum("the torque was above its limit" in text for text in said) == len(loaded.runs)
+
+
 @pytest.mark.study
 def test_a_recording_that_the_heat_budget_refuses_is_made_after_the_rest_that_it_needs(
     plan: Path, monkeypatch: pytest.MonkeyPatch
@@ -191,6 +204,25 @@ def test_an_outlier_is_named_with_its_value_its_ratio_and_its_score() -> None:
     )
     assert text.startswith("j5, chirp: Kc is 45 mN m/rad, 2.2 times the hand's median of 20.5 (")
     assert f"z-score {score:.1f}" in text
+
+
+def test_a_joint_without_a_parameter_does_not_repeat_and_leaves_the_campaign_incomplete(plan: Path) -> None:
+    kc, bc = Value(0.02, (0.019, 0.021), "N*m/rad"), Value(2e-4, (1e-4, 3e-4), "N*m*s/rad")
+    why = Diagnostic("two-stiffnesses", "a: two stiffnesses", "Bc", is_error=True)
+    runs = load(plan).runs
+    measured = tuple(Measured(run, {"Kc": kc}, diagnostics=(why,)) for run in runs[:2])
+    odd = Line("a", "chirp", "", measured, {"Kc": kc}, {"Kc": True, "Bc": None})
+    good = Line("b", "chirp", "", measured, {"Kc": kc, "Bc": bc}, {"Kc": True, "Bc": True})
+    found = Results((odd, good), (), {})
+    headings, *rows = table(found)
+    assert [row[-1] for row in rows] == ["no Bc (two-stiffnesses)", "repeats"]
+    assert headings[3:5] == ["Kc, mN m/rad", "Bc, mN m s/rad"]
+    assert not found.complete
+    [error] = diagnostics(found)
+    assert (error.is_error, error.message) == (True, "a, chirp: no recording identifies Bc: a: two stiffnesses")
+    assert Results((good,), (), {}).complete
+    page = write_page(load(plan), found, plan.with_name("r.html")).read_text(encoding="utf-8")
+    assert page.count('<th scope="col">Bc, mN m s/rad</th>') == 3  # of the hand, and of the recordings of each joint
 
 
 def test_a_dry_run_shows_what_would_be_recorded_and_makes_nothing(hil: Hil, plan: Path, tmp_path: Path) -> None:

@@ -138,8 +138,7 @@ def test_a_file_with_readings_needs_no_cell_and_no_lever_for_torques(
 
 
 @pytest.mark.parametrize(
-    ("typed", "reason"),
-    [(["", "20", "50", "100"], "grams"), (["", "0.02", "50g", "0.1", "20", "-0.05", "0"], "")],
+    ("typed", "reason"), [(["", "20", "50", "100"], "grams"), (["", "0.02", "50g", "0.1", "20", "-0.05", "0"], "")]
 )
 def test_a_weight_typed_in_grams_is_left_out_and_said(
     lever: Lever, stand: Path, typed: list[str], reason: str, capfd: pytest.CaptureFixture[str]

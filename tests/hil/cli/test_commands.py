@@ -57,8 +57,10 @@ def test_the_main_job_finds_the_stiffness_the_simulator_was_given_without_lookin
 
 def test_the_json_of_identify_is_the_designs(hil: Hil, make_recording: Maker) -> None:
     found = hil("identify", make_recording(noise=1e-5, samples=600), "--json").json
-    keys = "schema recordings model preset seed windows parameters fitness samples trials evaluations seconds"
-    tests = "validation warnings errors model_selection lack_of_fit dynamic_stiffness deflection fixture controller"
+    keys = "schema recordings model preset seed torque_scale windows parameters fitness samples trials evaluations"
+    tests = (
+        "seconds validation warnings errors model_selection lack_of_fit dynamic_stiffness deflection fixture controller"
+    )
     assert list(found) == [*keys.split(), *tests.split()]
     assert (found["schema"], found["model"], found["preset"]) == ("hil-identification/2", "linear", "default")
     kc = found["parameters"]["Kc"]
@@ -107,7 +109,6 @@ def test_the_exit_status_is_by_the_parameters_that_are_required(hil: Hil, make_r
     def triangle(channels: dict[str, Array]) -> None:
         rate = 0.8 * np.sign(np.cos(2.0 * np.pi * channels["time"]))
         channels["dtheta"] = 0.4 / np.pi * np.arcsin(np.sin(2.0 * np.pi * channels["time"]))
-        channels["dtheta_dot"] = rate
         noise = 1e-4 * np.random.default_rng(1).standard_normal(len(rate))
         channels["torque"] = 0.02 * channels["dtheta"] + 2e-4 * rate + noise
 
@@ -496,15 +497,16 @@ def test_a_read_only_target_is_wrong_use_and_leaves_nothing(capfd: pytest.Captur
         assert list(folder.iterdir()) == []
 
 
-def test_a_result_at_a_bound_is_said_to_be_at_a_bound(hil: Hil, make_recording: Maker) -> None:
-    ended = hil("identify", make_recording(noise=1e-5, samples=600), "--bounds", "Kc=0.03:5", "--json")
-    kc = ended.json["parameters"]["Kc"]
+def test_a_value_is_within_the_given_bounds_or_refused(hil: Hil, make_recording: Maker) -> None:
+    path = make_recording(noise=1e-5, samples=600)
+    ended = hil("identify", path, "--bounds", "Kc=0.03:5")
     assert ended.status == 1
-    assert kc["at_bound"] == "low"
-    assert kc["optimiser_repeatability"]["best"] == pytest.approx(0.03, rel=1e-3)
-    assert kc["value"] == pytest.approx(0.02, rel=1e-2)
-    assert [error["parameter"] for error in ended.json["errors"] if error["code"] == "at-bound"] == ["Kc"]
-    assert "--bounds Kc=LOW:HIGH" in ended.err
+    assert "Kc would be 0.02 N m/rad, outside --bounds Kc=0.03:5" in ended.err
+    assert hil("identify", path, "--bounds", "Kc=0.019:5").status == 0
+    bounded = hil("identify", path, "--model", "linear+skew", "--bounds", "skew=1e-3:2e-3", "--json").json
+    assert bounded["parameters"]["skew"]["value"] == 1e-3
+    assert bounded["parameters"]["skew"]["at_bound"] == "low"
+    assert ("at-bound", "skew") in {(one["code"], one["parameter"]) for one in bounded["warnings"]}
 
 
 def test_a_limit_that_is_passed_ends_in_status_four_with_the_data_kept(hil: Hil, tmp_path: Path) -> None:
@@ -534,13 +536,7 @@ def test_the_profiles_are_explained(hil: Hil) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "quantity"),
-    [
-        ("multisine", "torque"),
-        ("steps", "torque"),
-        ("ramp", "position"),
-        ("prbs", "torque"),
-        ("file", "position"),
-    ],
+    [("multisine", "torque"), ("steps", "torque"), ("ramp", "position"), ("prbs", "torque"), ("file", "position")],
 )
 def test_every_profile_records(hil: Hil, tmp_path: Path, kind: str, quantity: str) -> None:
     (tmp_path / "set.csv").write_text("0,0\n0.2,0.004\n0.4,0\n")

@@ -15,10 +15,14 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+import serial
 
+from drivers.dynamixel.wire import Wire2
+from drivers.packets.wire import WRITE
 from hil.cli.app import run
 from hil.recording.reader import Recording
 from hil.signals.prepare import prepare
@@ -87,23 +91,25 @@ def test_a_chirp_is_recorded_from_a_drive_served_by_another_command(tmp_path: Pa
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("name", "scale", "table"),
+    ("name", "scale", "inertia", "table"),
     [
-        pytest.param("odrive", 20.0, "torque_constant = 0.04\nbitrate = 1000000", marks=pytest.mark.study),
-        ("mit", 100.0, 'model = "dm-j4310"'),
-        pytest.param("robstride", 140.0, 'model = "rs00"', marks=pytest.mark.study),
-        pytest.param("moteus", 20.0, "", marks=pytest.mark.study),
-        pytest.param("cia402", 2.0, 'profile = "epos4"', marks=pytest.mark.study),
+        ("odrive", 20.0, 6.4e-5, "torque_constant = 0.04\nbitrate = 1000000"),
+        ("mit", 100.0, 1.8e-3, 'model = "dm-j4310"'),
+        ("robstride", 140.0, 1e-3, 'model = "rs00"'),
+        ("moteus", 20.0, 6.4e-5, ""),
+        ("cia402", 2.0, 6.4e-6, 'profile = "epos4"'),
     ],
 )
-def test_a_drive_on_can_is_recorded_over_a_serial_adapter(tmp_path: Path, name: str, scale: float, table: str) -> None:
-    """The joint behind each is the paper's with every torque `scale` times as large.
+def test_a_drive_on_can_is_recorded_over_a_serial_adapter(
+    tmp_path: Path, name: str, scale: float, inertia: float, table: str
+) -> None:
+    """The joint behind each is the paper's with every torque `scale` times as large; the rotor, kg m^2, is its own.
 
     A set-point that a busy machine sends late holds the torque for longer: the limit on the speed allows for that.
     """
     link, stand, recording = tmp_path / "ttyCAN", tmp_path / "stand.toml", tmp_path / "run.h5"
     stand.write_text(
-        f'[stand]\nbackend = "{name}"\nmotor_inertia = {3.2e-6 * scale}\nmotor_damping = {1.6e-6 * scale}\n'
+        f'[stand]\nbackend = "{name}"\nmotor_inertia = {inertia}\nmotor_damping = {1.6e-6 * scale}\n'
         f"torque_stays_on_if_host_dies = {str(name == 'odrive').lower()}\n"
         f"[limits]\ntorque = {0.03 * scale}\ndeflection = 1.5\nvelocity = 100.0\ntemperature = 75.0\n"
         f'[{name}]\ninterface = "slcan"\nchannel = "{link}"\nreply_timeout = 0.3\nwatchdog = 1.0\n{table}\n'
@@ -150,6 +156,32 @@ def test_a_position_profile_puts_the_drive_into_a_position_mode(tmp_path: Path) 
     assert np.ptp(dtheta[answered]) == pytest.approx(np.ptp(command), rel=0.2)
 
 
+@pytest.mark.parametrize("belongs", [False, True])
+def test_beside_a_servo_that_holds_torque_nothing_is_driven_unless_the_stand_file_names_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], belongs: bool
+) -> None:
+    stand = stand_file(tmp_path)
+    if belongs:
+        stand.write_text(stand.read_text().replace("[limits]", "holding_ids = [2]\n[limits]"))
+    with serve(tmp_path / "ttyDXL", idents=(1, 2)) as line:
+        with serial.Serial(str(line.link), 1_000_000, timeout=5.0) as port:
+            port.write(Wire2().frame(2, WRITE, bytes([64, 0, 1])))
+            assert len(port.read(11)) == 11
+        words = ["--band", "1:5", "--duration", "0.6", "--fade", "0.1", "--rate", "50", "--amplitude", "0.005"]
+        assert run(["record", "--stand", str(stand), *words, "-o", str(tmp_path / "a.h5")]) == (0 if belongs else 2)
+        assert (tmp_path / "a.h5").exists() == belongs
+        assert run(["doctor", str(stand), "--rate", "50"]) == (0 if belongs else 3)
+        said = capfd.readouterr()
+        for text in (said.err, said.out) if not belongs else ():
+            assert "drive 2 on the same bus (xl330-m288)" in " ".join(text.split())
+            assert "write 0 to its Torque Enable(64)" in " ".join(text.split())
+        assert ("armed at zero torque" in said.out) == belongs
+        bus: Any = line._peer
+        own, other = bus.devices
+        assert other.torque_on
+        assert not own.torque_on
+
+
 def test_record_without_a_drive_at_the_port_fails_as_a_stand_does_and_says_what_to_do(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -188,7 +220,19 @@ def test_an_emulator_that_cannot_be_is_refused_in_a_sentence(
 
 @pytest.mark.parametrize("name", EMULATORS)
 def test_an_emulators_function_takes_options_of_the_command_only(name: str) -> None:
-    options = {"link", "channel", "interface", "model", "firmware", "idents", "baudrate", "parameters", "log", "faults"}
+    options = {
+        "link",
+        "channel",
+        "interface",
+        "model",
+        "firmware",
+        "idents",
+        "baudrate",
+        "parameters",
+        "hand",
+        "log",
+        "faults",
+    }
     taken = set(inspect.signature(EMULATORS[name].function()).parameters)
     assert taken <= options | {"timing"}
     assert ("timing" in taken) == bool(EMULATORS[name].timing)

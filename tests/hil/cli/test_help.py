@@ -59,7 +59,7 @@ def test_the_version_is_that_of_the_package(hil: Hil) -> None:
 
 
 def test_quiet_prints_the_answer_alone_wherever_it_stands(hil: Hil, make_recording: Maker) -> None:
-    path = make_recording(noise=1e-4, samples=500)
+    path = make_recording(noise=1e-4, samples=2000, rate=2000.0)
     settings = ("--model", "linear", "--trials", 1)
     before = hil("--quiet", "identify", path, *settings)
     after = hil("identify", path, "--quiet", "--report", "r.html", *settings)

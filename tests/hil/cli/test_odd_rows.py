@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.cli.terminal import out
@@ -29,12 +30,21 @@ def put(name: str, value: float, at: slice = slice(None)) -> Change:
     return lambda channels: channels[name].__setitem__(at, value)
 
 
+def whole_seconds(channels: dict[str, Array]) -> None:
+    channels["time"] = np.floor(channels["time"] / 0.2)
+
+
 REFUSED: dict[str, tuple[Change, str]] = {
     "huge": (times(1e300, "torque", "dtheta"), "usable sample"),
     "beyond a double": (times(1e308, "torque"), "usable sample"),
     "tiny angle": (times(1e-300, "dtheta"), "the deflection never changes"),
     "tiny torque": (times(1e-300, "torque"), "the torque never changes"),
     "tiny time": (times(1e-300, "time"), "apart, which no recorder does"),
+    "slow": (times(1000.0, "time"), "the samples are 2 s apart (0.5 Hz), too slow"),
+    "whole seconds": (whole_seconds, "100 successive rows share the time stamp 0 s. The stamps are whole seconds"),
+    "a clock that stood still": (put("time", 0.0, slice(0, 50)), "50 successive rows share the time stamp 0 s"),
+    "one time": (put("time", 0.0), "200 successive rows share the time stamp 0 s"),
+    "backwards": (put("time", 0.0, slice(70, 71)), "time goes backwards"),
     "no time": (put("time", math.nan), "usable sample"),
 }
 
@@ -62,14 +72,6 @@ def test_one_impossible_number_is_left_out_and_said_so(hil: Hil, make_recording:
     assert ended.status == 0
     assert ended.json["parameters"]["Kc"]["value"] == pytest.approx(0.02, rel=1e-3)
     assert "1 of 1000 rows hold no number, or one beyond 1e+12" in ended.err
-
-
-@pytest.mark.study
-def test_a_gap_of_thirty_years_is_a_gap(hil: Hil, make_recording: Maker) -> None:
-    def change(channels: dict[str, Array]) -> None:
-        channels["time"][1000:] += 1e9
-
-    assert hil("inspect", make_recording(change=change)).status in {0, 1}
 
 
 def test_a_time_that_a_stamp_of_ros_cannot_hold_is_refused(hil: Hil, make_recording: Maker) -> None:

@@ -40,6 +40,7 @@ COMMANDS: dict[str, list[tuple[tuple[str, ...], str]]] = {  # words with @ for t
     "export": [(("export", "@", "-o", "o.csv"), ".h5"), (("export", "@", "-o", "o.xml"), ".json .h5")],
     "recover": [(("recover", "@", "-o", "r.h5"), ".h5.part .h5")],
     "campaign": [(("campaign", "@"), ".toml")],
+    "hand": [(("hand", "@"), ".toml")],
     "design": [(("design", "--stand", "@"), ".toml")],
     "view": [(("view", "@"), ".h5")],
     "doctor": [(("doctor", "@"), ".toml")],

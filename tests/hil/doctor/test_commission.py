@@ -191,11 +191,12 @@ def test_a_good_outcome_is_kept_for_the_drive_and_its_firmware(monkeypatch: pyte
     assert report.verdict.startswith("commissioned until ")
     assert "serial number 3456789a" in report.verdict
     assert checks.ok
-    assert last_outcome(report.info, Quantity.TORQUE) == report.outcome
-    assert last_outcome(report.info, Quantity.POSITION) is None
-    assert last_outcome(replace(report.info, firmware="1.2"), Quantity.TORQUE) is None
+    on_stand = parse(STAND.format(torque=0.4))
+    assert last_outcome(on_stand, report.info, Quantity.TORQUE) == report.outcome
+    assert last_outcome(on_stand, report.info, Quantity.POSITION) is None
+    assert last_outcome(on_stand, replace(report.info, firmware="1.2"), Quantity.TORQUE) is None
     monkeypatch.setattr(time, "time", lambda: report.outcome.time + 31 * 86400.0)
-    assert last_outcome(report.info, Quantity.TORQUE) is None
+    assert last_outcome(on_stand, report.info, Quantity.TORQUE) is None
 
 
 @pytest.mark.parametrize("own", [False, True], ids=["in a silence", "with the second signal"])

@@ -29,12 +29,10 @@ from hil.stand.file import Stand, parse
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.dynamixel.emulator import serve
-from sim_backend.wire.dynamixel.tables import MODELS
 from sim_backend.wire.faults import DropReplies, Unplug
 from sim_backend.wire.packets.bus import PacketTiming
-from sim_backend.wire.packets.regulator import joint_at_horn
 
-from ...drivers.conftest import new_rig, nothing_is_left_behind
+from ...drivers.conftest import FEETECH_LIMITS, feetech_rig, new_rig, nothing_is_left_behind, small_joint
 
 __all__ = ["nothing_is_left_behind"]
 
@@ -95,7 +93,7 @@ def test_a_sound_stand_passes_every_check_is_left_with_its_torque_off_and_no_fil
     monkeypatch.setattr("h5py.File", lambda *_, **__: pytest.fail("a file was opened"))
     rig = make_rig()
     checks = examine_rig(rig, quantity)
-    names = ["connection", "bus", "readings", "stop", "move", "signs", "lock", "watchdog"]
+    names = ["connection", "bus", "readings", "neighbours", "stop", "move", "signs", "lock", "watchdog"]
     assert verdicts(checks) == dict.fromkeys(names, "ok")
     assert message(checks, "signs").endswith("set sign = -1 in [dynamixel]")
     assert checks.info is not None
@@ -127,7 +125,7 @@ def test_nothing_moves_without_the_option(make_rig: Callable[..., Any], examine_
 
 def test_a_joint_that_is_not_locked_is_an_error(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
-    free = joint_at_horn(MODELS["xl330-m288"], CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
+    free = small_joint(CouplingParameters(stiffness=1e-5, damping=1e-6, coulomb_friction=0.0))
     rig.bus.devices[0] = DynamixelDevice(
         "xl330-m288", parameters=replace(free, motor=replace(free.motor, inertia=3e-4))
     )
@@ -135,6 +133,29 @@ def test_a_joint_that_is_not_locked_is_an_error(make_rig: Callable[..., Any], ex
     assert verdicts(checks)["lock"] == "error"
     assert "lock the joint" in message(checks, "lock")
     assert not rig.device.torque_on
+
+
+def test_limits_beyond_a_servos_overload_protection_are_a_warning_with_its_registers(
+    make_rig: Callable[..., Any], examine_rig: Examine
+) -> None:
+    rig = make_rig()
+    rig.device.registers.put("pwm_limit", 40)  # of 885: the servo makes 27 mN m of its 600
+    checks = examine_rig(rig, move=False)
+    assert verdicts(checks)["overload"] == "warning"
+    assert "0.0271 N m is an overload" in message(checks, "overload")
+    assert "Shutdown(63) is 53" in message(checks, "overload")
+    rig.device.registers.put("shutdown", 53 & ~0x20)
+    assert "overload" not in verdicts(examine_rig(rig, move=False))
+
+
+@pytest.mark.parametrize(("model", "number"), [("sts3215", 36), ("scs0009", 39)])
+def test_the_overload_of_a_feetech_is_a_share_of_the_torque_limit(model: str, number: int) -> None:
+    rig = feetech_rig(model)
+    servo = rig.open(mode="position")
+    overload = servo.overload(FEETECH_LIMITS)
+    assert overload.torque == pytest.approx(0.8 * FEETECH_LIMITS.torque)
+    assert f"after 2 s the servo reduces its torque to 20 %: Overload Torque({number}) is 80 %" in overload.acts
+    servo.close()
 
 
 def test_a_watchdog_that_does_not_trip_is_an_error(

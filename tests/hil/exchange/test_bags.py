@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from hil.errors import WrongUse
-from hil.exchange import bags
 from hil.exchange.importer import Column, Imported, import_table
+from hil.exchange.readers import bags
 from hil.recording.reader import Recording
 
 pytest.importorskip("rosbags", reason="ROS BAGS NOT TESTED: rosbags is missing, pip install '.[test]'")
@@ -72,7 +72,7 @@ def test_a_joint_of_a_bag_becomes_a_recording(tmp_path: Path, storage: str, *, s
 @pytest.mark.study
 def test_another_message_is_read_by_the_paths_of_its_numbers(tmp_path: Path) -> None:
     source = bag(tmp_path / "bag")
-    columns = {"torque": Column("wrench.torque.z", "N*m"), "dtheta": Column("wrench.torque.z", "rad")}
+    columns = {"torque": Column("wrench.torque.z", "N*m"), "dtheta": Column("wrench.torque.x", "rad")}
     columns["time"] = Column("time")
     import_table(source, tmp_path / "a.h5", columns, [], topic="/wrench")
     with Recording(tmp_path / "a.h5") as recording:
@@ -84,11 +84,7 @@ def test_another_message_is_read_by_the_paths_of_its_numbers(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("topic", "joint", "said"),
     [
-        (
-            "/joint_state",
-            "finger",
-            r"no topic /joint_state; did you mean '/joint_states'\? it has /joint_states",
-        ),
+        ("/joint_state", "finger", r"no topic /joint_state; did you mean '/joint_states'\? it has /joint_states"),
         ("/joint_states", "fingr", r"has no joint 'fingr'; it has finger, thumb"),
         ("/joint_states", None, r"name the joint with --joint; it has finger, thumb"),
         ("/wrench", "finger", r"/wrench holds geometry_msgs/msg/WrenchStamped, which has no joints"),
@@ -101,6 +97,13 @@ def test_what_a_bag_does_not_have_is_said_with_what_it_has(
     with pytest.raises(WrongUse, match=said):
         imported(tmp_path, bag(tmp_path / "bag"), topic, joint)
     assert not (tmp_path / "a.h5").exists()
+
+
+def test_a_further_joint_of_a_joint_state_that_moved_too_is_named(tmp_path: Path) -> None:
+    thumb = ("thumb", 0.9 * STATE[1], STATE[2], STATE[3])
+    (warning,) = imported(tmp_path, bag(tmp_path / "bag", [STATE, thumb])).diagnostics
+    assert warning.code == "other-joints"
+    assert "thumb" in warning.message
 
 
 def test_the_only_joint_of_the_only_joint_states_need_not_be_named(tmp_path: Path) -> None:
@@ -136,13 +139,13 @@ def test_an_mcap_of_other_messages_is_named_as_such(tmp_path: Path) -> None:
         bags.columns(tmp_path / "a.mcap", "/cell", None)
 
 
-@pytest.mark.parametrize("damage", ["cut", "junk", "empty", "bytes"])
+@pytest.mark.parametrize("damage", ["junk", "empty", "bytes"])
 def test_a_damaged_bag_is_one_sentence(tmp_path: Path, damage: str) -> None:
     [source] = bag(tmp_path / "bag", storage="mcap").glob("*.mcap")
     data = bytearray(source.read_bytes())
     if damage == "bytes":
         data[200:2000:7] = bytes(len(data[200:2000:7]))
-    broken = {"cut": data[: len(data) // 2], "junk": b"junk" * 999, "empty": b"", "bytes": data}[damage]
+    broken = {"junk": b"junk" * 999, "empty": b"", "bytes": data}[damage]
     (tmp_path / "b.mcap").write_bytes(bytes(broken))
     with pytest.raises(
         WrongUse, match=r"b\.mcap.*(damaged, or not what its name says|is empty|has no mess)"
@@ -219,3 +222,29 @@ def test_a_topic_of_another_table_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("t [s],q [N*m]\n0,1\n")
     with pytest.raises(WrongUse, match="is no bag and has no topics or joints: leave out --topic"):
         imported(tmp_path, tmp_path / "a.csv")
+
+
+def test_two_topics_are_joined_on_the_clock_of_the_bag(tmp_path: Path) -> None:
+    source = bag(tmp_path / "bag")
+    columns = {"torque": Column("/wrench:wrench.torque.z", "N*m"), "dtheta": Column("/joint_states:position")}
+    done = import_table(source, tmp_path / "a.h5", columns, [], joint="finger")
+    assert "one clock" in done.said
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_allclose(recording.channel("torque"), TIME, atol=1e-6)
+        np.testing.assert_allclose(recording.channel("dtheta"), STATE[1], atol=1e-6)
+
+
+def test_a_bag_without_its_end_or_its_description_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    folder = bag(tmp_path / "bag", storage="mcap")
+    (folder / "metadata.yaml").unlink()
+    [file] = folder.glob("*.mcap")
+    assert imported(tmp_path, folder).samples == 200
+    file.write_bytes(file.read_bytes()[:40_000])
+    done = imported(tmp_path, folder)
+    assert 100 < done.samples < 200
+    assert "has no end" in done.diagnostics[1].message
+    with Recording(tmp_path / "a.h5") as recording:
+        np.testing.assert_array_equal(recording.channel("dtheta"), STATE[1][: done.samples])
+    file.write_bytes(file.read_bytes()[:20])
+    with pytest.raises(WrongUse, match="no whole record"):
+        imported(tmp_path, folder)

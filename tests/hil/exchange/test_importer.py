@@ -17,8 +17,10 @@ from hil.api.recordings import load
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
+from hil.identification.same_stand import other_joints_diagnostics
 from hil.recording.reader import Array, Recording
 from hil.signals.prepare import prepare
+from hil.signals.source import open_sources
 from hil.stand.file import parse
 
 TABLE = "TIME,POS,TAU,run\n0.5,0.25,10,1\n0.6,0.5,20,1\n0.7,-0.25,30,2\n"
@@ -42,12 +44,7 @@ def test_columns_arrive_in_si_and_time_starts_at_zero(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("where", "kept"),
-    [
-        (("run != 1",), [30.0]),
-        (("TAU>=20", "TAU<30"), [20.0]),
-        (("POS<=-0.25",), [30.0]),
-    ],
+    ("where", "kept"), [(("run != 1",), [30.0]), (("TAU>=20", "TAU<30"), [20.0]), (("POS<=-0.25",), [30.0])]
 )
 def test_only_rows_that_meet_every_condition_are_kept(
     tmp_path: Path, where: tuple[str, ...], kept: list[float]
@@ -56,21 +53,18 @@ def test_only_rows_that_meet_every_condition_are_kept(
         np.testing.assert_allclose(recording.channel("torque") * 1e3, kept)
 
 
-def test_a_gzipped_file_with_a_byte_order_mark_and_crlf_reads_the_same(tmp_path: Path) -> None:
-    source = tmp_path / "a.csv.gz"
-    source.write_bytes(gzip.compress(b"\xef\xbb\xbf" + TABLE.replace("\n", "\r\n").encode()))
-    assert import_table(source, tmp_path / "b.h5", PLAIN, []).samples == 3
-
-
-def test_the_unicode_text_of_spreadsheets_reads_the_same(tmp_path: Path) -> None:
-    source = tmp_path / "a.txt"
-    source.write_bytes(TABLE.replace(",", "\t").encode("utf-16"))
-    assert import_table(source, tmp_path / "b.h5", PLAIN, []).samples == 3
-
-
-def test_semicolons_separate_too(tmp_path: Path) -> None:
-    with imported(tmp_path, TABLE.replace(",", ";")) as recording:
-        assert len(recording) == 3
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.csv.gz", gzip.compress(b"\xef\xbb\xbf" + TABLE.replace("\n", "\r\n").encode())),
+        ("a.txt", TABLE.replace(",", "\t").encode("utf-16")),
+        ("a.csv", TABLE.replace(",", ";").encode()),
+    ],
+    ids=["gzipped, with a byte order mark and CRLF", "the unicode text of spreadsheets", "semicolons"],
+)
+def test_other_texts_read_the_same(tmp_path: Path, name: str, data: bytes) -> None:
+    (tmp_path / name).write_bytes(data)
+    assert import_table(tmp_path / name, tmp_path / "b.h5", PLAIN, []).samples == 3
 
 
 def test_semicolons_and_decimal_commas_read_as_points_do(tmp_path: Path) -> None:
@@ -120,27 +114,19 @@ def test_an_empty_cell_is_a_nan(tmp_path: Path) -> None:
         assert np.isnan(recording.channel("torque")).tolist() == [False, True, False]
 
 
-def test_motor_columns_come_to_the_joint_through_the_stands_gear(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("sensor", "scale"), [("motor_torque", 1e-3), ("torque", 4e-3)])
+def test_motor_columns_come_to_the_joint_through_the_stands_gear_and_a_cell_goes_with_them(
+    tmp_path: Path, sensor: str, scale: float
+) -> None:
     source = tmp_path / "a.csv"
-    source.write_text("t,p,q\n0,8.0,0.001\n0.1,8.4,0.002\n")
-    columns = {"time": Column("t", "s"), "motor_torque": Column("q", "N*m"), "motor_position": Column("p", "rad")}
-    stand = parse("[stand]\ngear_ratio = 4.0\n")
-    import_table(source, tmp_path / "a.h5", columns, [], stand=stand)
+    source.write_text("t,p,q\n0,8.0,1\n0.1,8.4,2\n")
+    columns = {"time": Column("t", "s"), sensor: Column("q", "N*m", scale), "motor_position": Column("p", "rad")}
+    import_table(source, tmp_path / "a.h5", columns, [], stand=parse("[stand]\ngear_ratio = 4.0\n"))
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.004, 0.008])
         np.testing.assert_allclose(recording.channel("dtheta"), [0.0, 0.1])
         np.testing.assert_allclose(recording.channel("motor_position"), [8.0, 8.4])
         assert recording.stand_toml == "[stand]\ngear_ratio = 4.0\n"
-
-
-def test_a_torque_cell_at_the_joint_goes_with_the_motors_position(tmp_path: Path) -> None:
-    source = tmp_path / "a.csv"
-    source.write_text("t,p,q\n0,8.0,0.004\n0.1,8.4,0.008\n")
-    columns = {"time": Column("t", "s"), "torque": Column("q", "N*m"), "motor_position": Column("p", "rad")}
-    import_table(source, tmp_path / "a.h5", columns, [], stand=parse("[stand]\ngear_ratio = 4.0\n"))
-    with Recording(tmp_path / "a.h5") as recording:
-        np.testing.assert_allclose(recording.channel("torque"), [0.004, 0.008])
-        np.testing.assert_allclose(recording.channel("dtheta"), [0.0, 0.1])
 
 
 @pytest.mark.study
@@ -437,8 +423,9 @@ def test_numbers_without_their_sign_are_recognised_and_read_right_with_the_code_
     np.testing.assert_allclose(found, moved * (found @ moved) / (moved @ moved), atol=0.01 * np.ptp(found))
 
 
-def test_a_torque_in_one_direction_has_its_sign(tmp_path: Path) -> None:
-    steps = 1000 * (np.arange(400) % 40 < 20)
+@pytest.mark.parametrize("steps", [1000 * (np.arange(400) % 40 < 20), np.full(400, 0.3), 1e300 * np.arange(400)])
+def test_a_column_that_needs_no_code_is_imported(tmp_path: Path, steps: Array) -> None:
+    """A torque in one direction, one that never changes, and one beyond any sensor."""
     rows = zip(MOVING[:, 0].tolist(), steps.tolist(), (0.001 * steps).tolist(), strict=True)
     (tmp_path / "a.csv").write_text("t,q,a\n" + "".join(f"{t:.2f},{q},{a}\n" for t, q, a in rows))
     columns = {"time": Column("t", "s"), "torque": Column("q", "mN*m"), "dtheta": Column("a", "rad")}
@@ -525,7 +512,7 @@ def test_readings_that_a_stand_cannot_make_are_refused_with_the_likely_unit(
     tmp_path: Path, channel: str, column: str, unit: str, said: str
 ) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
-    columns = PLAIN | {channel: Column(column, unit)}
+    columns = PLAIN | {"torque": Column("run", "mN*m"), channel: Column(column, unit)}
     with pytest.raises(WrongUse, match=said):
         import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=parse(STAND))
     assert not (tmp_path / "a.h5").exists()
@@ -538,9 +525,19 @@ def test_readings_a_little_beyond_a_limit_are_imported_with_a_warning(tmp_path: 
     assert done.ranges == "torque 10 to 30 mN m; deflection -1.57 to 3.14 rad, a span of 270 deg"
 
 
+def test_failed_reads_are_not_judged_by_the_limits(tmp_path: Path) -> None:
+    rows = (
+        f"{t / 100},{0.1 * math.sin(t / 30)},{-1.0 if t in (90, 170) else 0.02 * math.sin(t / 30)}" for t in range(300)
+    )
+    (tmp_path / "a.csv").write_text("t [s],q [rad],tau [N*m]\n" + "\n".join(rows))
+    columns = {"time": Column("t"), "dtheta": Column("q"), "torque": Column("tau")}
+    assert not import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [], stand=parse(STAND)).diagnostics
+
+
 def test_a_deflection_of_many_turns_is_warned_of_without_a_stand(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(TABLE)
-    done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", PLAIN | {"dtheta": Column("TAU", "rad")}, [])
+    columns = PLAIN | {"torque": Column("POS", "N*m"), "dtheta": Column("TAU", "rad")}
+    done = import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [])
     assert [one.code for one in done.diagnostics] == ["wrong-unit"]
     assert done.ranges.endswith("deflection 10 to 30 rad, a span of 3.18 turns")
 
@@ -554,16 +551,22 @@ def test_half_a_set_of_columns_is_refused(tmp_path: Path, channels: set[str]) ->
         import_table(source, tmp_path / "a.h5", columns, [])
 
 
-@pytest.mark.parametrize("name", ["none.csv", "bad.csv.gz"])
-def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / "bad.csv.gz").write_bytes(b"not gzip")
-    with pytest.raises(WrongUse, match="cannot be read"):
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("none.csv", None, "cannot be read"),
+        ("bad.csv.gz", b"not gzip", "cannot be read"),
+        ("..", None, "is not a file"),
+        ("a.mat", b"MATLAB 7.3 MAT-file", "is damaged"),
+        ("a.mat", b"junk" * 64, "is damaged, or not what"),
+        ("a.mat", b"", "is empty"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(WrongUse, match=said):
         import_table(tmp_path / name, tmp_path / "a.h5", PLAIN, [])
-
-
-def test_something_else_than_a_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(WrongUse, match="is not a file"):
-        import_table(tmp_path, tmp_path / "a.h5", PLAIN, [])
 
 
 # --- MATLAB and Parquet ----------------------------------------------------------------------------------------------
@@ -580,16 +583,6 @@ def test_vectors_of_a_matlab_file_are_columns_a_structs_too(tmp_path: Path) -> N
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("torque"), [0.01, 0.02])
         np.testing.assert_allclose(recording.channel("dtheta"), [0.5 * math.pi, math.pi])
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [(b"MATLAB 7.3 MAT-file", "is damaged"), (b"junk" * 64, "is damaged, or not what"), (b"", "is empty")],
-)
-def test_a_matlab_file_that_cannot_be_read_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
-    (tmp_path / "a.mat").write_bytes(content)
-    with pytest.raises(WrongUse, match=said):
-        import_table(tmp_path / "a.mat", tmp_path / "a.h5", PLAIN, [])
 
 
 def test_columns_of_unequal_length_are_refused(tmp_path: Path) -> None:
@@ -686,3 +679,11 @@ def test_an_index_beside_a_column_of_names_is_read_only_for_a_named_joint(tmp_pa
     import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, [RowFilter.parse("field.name0==thumb")])
     with Recording(tmp_path / "a.h5") as recording:
         assert recording.channel("torque").tolist() == [1.0, 3.0, 5.0, 7.0]
+
+
+@pytest.mark.parametrize(("beside", "error"), [("q2,tau2", [True]), ("q_pip,tau_pip", [True]), ("q1_cmd,tau1_cmd", [])])
+def test_a_joint_that_moved_too_is_an_error_a_set_point_is_not(tmp_path: Path, beside: str, error: list[bool]) -> None:
+    rows = "".join(f"{t},{math.sin(t)},{math.sin(t)},{0.9 * math.sin(t - 0.1)},0\n" for t in range(50))
+    torque, dtheta, table = Column("tau1", "N*m"), Column("q1", "rad"), f"TIME,q1,tau1,{beside}\n{rows}"
+    with imported(tmp_path, table, torque=torque, dtheta=dtheta), open_sources([tmp_path / "a.h5"]) as sources:
+        assert [one.is_error for one in other_joints_diagnostics(sources)] == error

@@ -13,7 +13,9 @@ import pytest
 from hil.errors import WrongUse
 from hil.exchange.importer import Column, Imported, import_table
 from hil.exchange.join import Join
+from hil.identification.same_stand import other_joints_diagnostics
 from hil.recording.reader import Recording
+from hil.signals.source import open_sources
 from hil.stand.file import parse
 
 STIFFNESS, DAMPING = 0.5, 0.004
@@ -43,6 +45,20 @@ def logged(
 def joined(folder: Path, columns: Mapping[str, str], join: Join, **more: Any) -> Imported:
     named = {channel: Column(name) for channel, name in columns.items()}
     return import_table(folder / "drive.csv", folder / "a.h5", named, [], join=join, force=True, **more)
+
+
+def test_other_joints_of_two_files_are_compared(tmp_path: Path) -> None:
+    logged(tmp_path, drive="t [s],angle1 [deg]", cell="t [ms],tau1 [mN*m]")
+    for name, added in (("drive.csv", ",angle2 [deg]"), ("cell.csv", ",tau2 [mN*m]")):
+        first, *rows = (tmp_path / name).read_text().splitlines()
+        lines = [first + added, *(f"{row},{0.5 * float(row.split(',')[1])}" for row in rows)]
+        (tmp_path / name).write_text("\n".join(lines))
+    named = {"time": "t", "torque": "tau1", "dtheta": "angle1"}
+    joined(tmp_path, named, Join(tmp_path / "cell.csv", "t", shared=True))
+    with open_sources([tmp_path / "a.h5"]) as sources:
+        (found,) = other_joints_diagnostics(sources)
+    assert found.is_error
+    assert "angle2 [deg] moved too" in found.message
 
 
 PLAIN = {"time": "t", "torque": "tau", "dtheta": "angle"}
@@ -148,3 +164,14 @@ def test_a_file_whose_clock_was_set_is_not_joined(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "cell.csv", rows, "%.14g", ",", header="t [ms],tau [mN*m]", comments="")
     with pytest.raises(WrongUse, match=r"cell\.csv: .*the clock was set.* No second file can be joined"):
         joined(tmp_path, PLAIN, Join(tmp_path / "cell.csv", shared=True))
+
+
+def test_clocks_that_drift_apart_are_named_with_the_factor_that_mends_them(tmp_path: Path) -> None:
+    logged(tmp_path, late=0.731)
+    cell = np.loadtxt(tmp_path / "cell.csv", delimiter=",", skiprows=1)
+    cell[:, 0] *= 1.0 - 400e-6
+    np.savetxt(tmp_path / "cell.csv", cell, "%.14g", ",", header="t [ms],tau [mN*m]", comments="")
+    with pytest.raises(WrongUse, match=r"drift apart by (3[89]\d|4[01]\d) ppm.*--join-time '1\.000\d+\*NAME'"):
+        joined(tmp_path, PLAIN, Join(tmp_path / "cell.csv"))
+    joined(tmp_path, PLAIN, Join(tmp_path / "cell.csv", "1.0004*t"))
+    np.testing.assert_allclose(coefficients(tmp_path), [STIFFNESS, DAMPING], rtol=0.03)

@@ -213,8 +213,6 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(files: Path, tmp_pat
         ("a.ulg", b"ULog\x01\x12\x35", "a ULog of PX4, .* ulog2csv"),
         ("a.log", b"(1436509052.249713) can0 044#2A366C2BBA\n", "a log of CAN frames, .* DBC"),
         ("a.pkl", b"\x80\x04\x95", "a pickle of Python, .* never"),
-        ("a.txt", b"ready\ntau:0.12,q:0.5\ntau:0.13,q:0.6\n", "a serial monitor, with a label .* sed"),
-        ("a.txt", 2 * b"12:00:00.123 -> tau = 1.25 Nm; q = 0.5 rad\r\n", "serial monitor"),
         ("a.csv", b"version https://git-lfs.github.com/spec/v1\noid", "Git LFS .* git lfs pull"),
         ("a.csv", b"PK\x03\x04....", "an archive, .* unpack it"),
     ],
@@ -306,3 +304,86 @@ def test_a_number_in_merged_cells_is_refused(tmp_path: Path) -> None:
     path = workbook(tmp_path / "a.xlsx", "B2:B3", S=[HEAD, *ROWS])
     with pytest.raises(WrongUse, match=r"the number 0\.1 stands in merged cells, rows 2 to 3"):
         open_table(path)
+
+
+def other_arrow(path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    from pyarrow import ipc
+
+    table = arrow.table({"tau": TAU, "q": ANGLE, "stamp": STAMPS.astype(str)})
+    with ipc.new_stream(path, table.schema) as stream:
+        stream.write_table(table)
+
+
+def texts_hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["tau"], file["q"], file["stamp"] = TAU, ANGLE, STAMPS.astype(str).tolist()
+
+
+def texts_npz(path: Path) -> None:
+    np.savez(path, tau=TAU, q=ANGLE, stamp=STAMPS.astype(str))
+
+
+def struct_rows(path: Path) -> None:
+    rows = np.zeros((1, len(TIME)), dtype=[("t", "O"), ("tau", "O"), ("q", "O")])
+    for at, row in enumerate(zip(TIME, TAU, ANGLE, strict=True)):
+        rows[0, at] = row
+    savemat(path, {"log": rows})
+
+
+def data_frame(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["run/axis0"], file["run/axis1"] = [b"t", b"n", b"tau", b"q"], np.arange(len(TIME))
+        file["run/block0_items"], file["run/block1_items"] = [b"t", b"tau", b"q"], [b"n"]
+        file["run/block0_values"] = np.column_stack([TIME, TAU, ANGLE])
+        file["run/block1_values"] = np.arange(len(TIME))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "words", "start"),
+    [
+        ("a.arrows", other_arrow, ("stamp", "tau", "q"), STARTED),
+        ("a.arrow", other_arrow, ("stamp", "tau", "q"), STARTED),
+        ("a.h5", texts_hdf5, ("stamp", "tau", "q"), STARTED),
+        ("a.npz", texts_npz, ("stamp", "tau", "q"), STARTED),
+        ("a.mat", struct_rows, ("log.t", "log.tau", "log.q"), 0.0),
+        ("a.h5", data_frame, ("run/t", "run/tau", "run/q"), 0.0),
+    ],
+)
+def test_columns_are_found_in_what_programs_make_of_them(
+    tmp_path: Path, name: str, make: Callable[[Path], None], words: tuple[str, ...], start: float
+) -> None:
+    make(tmp_path / name)
+    time, tau, angle = read(tmp_path / name, *words)
+    np.testing.assert_allclose(time - start, TIME, atol=1e-6)
+    np.testing.assert_allclose([tau, angle], [TAU, ANGLE])
+    unit = None if start else "s"  # dates state theirs
+    columns = {"time": Column(words[0], unit), "torque": Column(words[1], "N*m"), "dtheta": Column(words[2], "rad")}
+    assert import_table(tmp_path / name, tmp_path / "b.h5", columns, []).samples == len(TIME)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.csv", "t,q\n" + '0.1,"[0.1, 0.2]"\n' * 9, "holds lists in its cells, such as .0.1, 0.2."),
+        ("a.csv", "Time,ID,DLC,Data\n" + "0.1,0x141,8,A1 00 0B 10 00 00 01 02\n" * 9, "log of CAN frames"),
+        (
+            "a.csv",
+            "tau,q\n" + "".join(f"{0.1 * np.sin(k)},{0.1 * np.cos(k)}\n0,0\n" for k in range(90)),
+            "0 between other readings.*two programs wrote one log.*--where 'tau!=0'",
+        ),
+    ],
+)
+def test_a_log_that_cannot_be_read_is_refused_with_its_cause(tmp_path: Path, name: str, text: str, said: str) -> None:
+    (tmp_path / name).write_text(text)
+    columns = {"torque": Column("tau", "N*m"), "dtheta": Column("q", "rad")}
+    with pytest.raises(WrongUse, match=said):
+        import_table(tmp_path / name, tmp_path / "b.h5", columns, [], rate=100.0)
+
+
+def test_an_hdf5_file_that_was_not_closed_is_named_as_such(tmp_path: Path) -> None:
+    texts_hdf5(tmp_path / "a.h5")
+    data = (tmp_path / "a.h5").read_bytes()
+    (tmp_path / "a.h5").write_bytes(data[: len(data) // 2])
+    with pytest.raises(WrongUse, match=r"was not closed by the program that wrote it.*h5clear -s"):
+        open_table(tmp_path / "a.h5")

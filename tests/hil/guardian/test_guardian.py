@@ -215,7 +215,7 @@ def test_a_process_that_dies_or_is_stopped_has_its_torque_switched_off(
 
     def announced() -> bool:
         said.append(capfd.readouterr().err)
-        return "".join(said).endswith(": the guardian sent torque-off\n")
+        return "".join(said).endswith("; if the motor still pulls, cut its power\n")
 
     assert until(announced)
     assert "hil: the process that drove the motor " in "".join(said)

@@ -31,11 +31,7 @@ def torque_of_half_the_time(channels: dict[str, Array]) -> None:
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("change", "samples", "rate"),
-    [
-        (ramp_beside_one_jump, 4000, 1000.0),
-        (torque_of_half_the_time, 400, 250.0),
-    ],
+    ("change", "samples", "rate"), [(ramp_beside_one_jump, 4000, 1000.0), (torque_of_half_the_time, 400, 250.0)]
 )
 def test_a_recording_that_says_nothing_is_not_trusted(
     make_recording: Maker, change: Change, samples: int, rate: float

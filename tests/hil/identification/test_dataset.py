@@ -102,6 +102,23 @@ def test_only_a_part_of_what_is_on_disk_is_held_in_memory(
         assert sum(len(torque) for _, torque in data.blocks()) == data.samples > 2300
 
 
+@pytest.mark.parametrize("size", [0.0, 2e-3])
+def test_a_step_of_a_zero_in_what_is_on_disk_is_an_error(
+    make_recording: Maker, monkeypatch: pytest.MonkeyPatch, size: float
+) -> None:
+    def tare(channels: dict[str, Array]) -> None:
+        channels["torque"][2500:] += size
+
+    monkeypatch.setattr(constants, "IN_MEMORY", 1000)
+    monkeypatch.setattr(LongRecording, "glimpse", partialmethod(LongRecording.glimpse, parts=10, rows=600))
+    with (
+        open_sources([make_recording(samples=6000, change=tare)]) as sources,
+        open_dataset(sources, lambda signals, _: Choice(parse_model("linear").anchored(signals.motion))) as data,
+    ):
+        errors = [one.message for one in data.diagnostics if one.is_error]
+    assert ["a zero changes" in one for one in errors] == [True] * bool(size)
+
+
 def test_each_recording_is_verified_once_an_identification(
     recordings: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

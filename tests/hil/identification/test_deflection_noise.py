@@ -142,8 +142,7 @@ def misfits(found: Identification) -> bool:
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("motion", "friction", "commanded"),
-    [(jerky, 0.0, True), (jerky, 0.0, False), (multisine, 2e-3, True)],
+    ("motion", "friction", "commanded"), [(jerky, 0.0, True), (jerky, 0.0, False), (multisine, 2e-3, True)]
 )
 def test_a_low_pass_makes_no_misfit_of_jumps_that_the_torque_has(
     tmp_path: Path, motion: Motion, friction: float, commanded: bool

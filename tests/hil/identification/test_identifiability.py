@@ -404,8 +404,7 @@ def test_recordings_that_differ_by_their_units_are_said_to_differ(make_recording
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    ("stiffnesses", "is_error"),
-    [((0.02, 0.02, 0.022), True), ((0.02, 0.0202, 0.0204, 0.0206), False)],
+    ("stiffnesses", "is_error"), [((0.02, 0.02, 0.022), True), ((0.02, 0.0202, 0.0204, 0.0206), False)]
 )
 def test_a_recording_that_the_others_do_not_predict_is_an_error_and_no_change_in_time(
     make_recording: Maker, stiffnesses: tuple[float, ...], *, is_error: bool

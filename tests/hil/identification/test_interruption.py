@@ -129,10 +129,7 @@ def test_elsewhere_than_on_a_terminal_a_long_search_says_a_line_now_and_then(cap
     for percent in range(101):  # 4 s each
         lines("searching", percent / 100.0)
     said = capfd.readouterr().err.splitlines()
-    assert said[:2] == [
-        "searching: 10% done, about 360 s left",
-        "searching: 20% done, about 320 s left",
-    ]
+    assert said[:2] == ["searching: 10% done, about 360 s left", "searching: 20% done, about 320 s left"]
     assert len(said) == 10
 
 

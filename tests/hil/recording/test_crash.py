@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import shutil
@@ -23,10 +24,12 @@ from hil.recording import output
 from hil.recording import writer as writer_module
 from hil.recording.channels import ROW, Row
 from hil.recording.final import finalise
+from hil.recording.integrity import EVENT, LIVE
 from hil.recording.output import atomic_write, check_unfinished, remove_unfinished
-from hil.recording.reader import Recording
+from hil.recording.reader import EVENTS, Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.signals.inspection import inspect
+from hil.signals.source import open_sources
 from hil.stand.file import SIMULATED
 
 from ..conftest import copied, exit_status
@@ -87,7 +90,7 @@ def test_a_kill_at_any_call_of_the_start_leaves_a_whole_part_or_none(
         part = folder / "a.h5.part"
         seen.add(part.exists())
         if part.exists():
-            assert finalise(part, folder / "b.h5") == (0, 0, True)
+            assert finalise(part, folder / "b.h5")[:3] == (0, 0, True)
             part.unlink()
         recorded(folder / "a.h5", 3).finish("done")
         assert {item.name for item in folder.iterdir()} <= {"a.h5", "b.h5"}
@@ -135,9 +138,24 @@ def test_a_part_of_an_older_version_that_was_cut_off_is_no_dead_end(
 ) -> None:
     (tmp_path / "a.h5.part").write_bytes(b"\x89HDF")
     assert cli.run(["recover", str(tmp_path / "a.h5.part")]) == 2
-    assert "it has no row that can be read, and `hil record --force` replaces it" in capfd.readouterr().err
-    remove_unfinished(tmp_path / "a.h5")
-    assert list(tmp_path.iterdir()) == []
+    assert "it has no row that can be read: remove it, or choose another name" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89HDF", b"a film", "a finished recording"])
+def test_a_part_that_hil_did_not_begin_is_never_removed(
+    tmp_path: Path, content: bytes | str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A browser's download of run1.h5 has the name of a recording in progress."""
+    part = tmp_path / "a.h5.part"
+    if isinstance(content, str):
+        recorded(tmp_path / "b.h5", 3).finish("done")
+        content = (tmp_path / "b.h5").read_bytes()
+    part.write_bytes(content)
+    status = cli.run(["record", "--backend", "sim", "--duration", "1", "-o", str(tmp_path / "a.h5"), "--force"])
+    assert (status, part.read_bytes()) == (2, content)
+    assert "no recording that hil began" in capfd.readouterr().err
+    with pytest.raises(WrongUse, match="Choose another name"):
+        remove_unfinished(tmp_path / "a.h5")
 
 
 def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_path: Path) -> None:
@@ -150,6 +168,52 @@ def test_rows_that_an_older_version_reserved_and_did_not_mark_are_no_rows(tmp_pa
         assert len(recording) == 0
 
 
+def test_a_part_that_is_cut_off_or_loses_a_page_keeps_every_row_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A short form of benchmarks/power_loss.py --damage, without the copies of the process that read a header first."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "benchmarks")
+    monkeypatch.setattr(Recording, "_try_out", lambda _: None)
+    found = importlib.import_module("power_loss").damages(tmp_path, 40, 97)
+    assert min(one.places for one in found.values()) > 0
+    assert {(one.other_rows, one.altered, one.headers) for one in found.values()} == {(0, 0, 0)}
+
+
+def test_what_a_cut_has_cost_is_said_and_the_rest_is_used(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    part = recorded(tmp_path / "a.h5", 30)
+    place = part.place.rows_at
+    part.close()
+    part.path.write_bytes(part.path.read_bytes()[: place + 20 * LIVE.itemsize])
+    assert cli.run(["recover", str(part.path)]) == 0
+    said = capfd.readouterr()
+    assert "20 samples recovered" in said.out
+    assert "the file is damaged after row 20: later rows, if there were any, are missing" in said.err
+    assert cli.run(["inspect", "--verify", str(part.path)]) == 1
+    with open_sources([part.path]) as (source,):
+        source.verify()
+
+
+def test_a_finished_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "a.h5", 3000).finish("done")
+    path.write_bytes(path.read_bytes()[:-512])
+    with pytest.raises(WrongUse, match="is cut off"):
+        Recording(path)
+
+
+def test_a_header_of_any_size_stands_before_the_rows_and_again_behind_the_events(tmp_path: Path) -> None:
+    many = {f"setting{number}": 1.0 for number in range(20)}  # HDF5 keeps more than eight in another way
+    for size in (0, 3_000, 40_000, 300_000):
+        header = Header(profile={"setpoints": "1" * size, **many}, stand_toml="x" * size, truth={"Kc": 1.0})
+        part = RecordingWriter(tmp_path / f"{size}.h5", header, 7)
+        place = part.place
+        part.close()
+        data = part.path.read_bytes()
+        assert place.events_at == place.rows_at + 7 * LIVE.itemsize
+        second = data[place.events_at + EVENTS * EVENT.itemsize :]
+        assert second[: place.rows_at] == data[: place.rows_at]
+        assert int.from_bytes(data[28:36], "little") == len(data) - len(second)
+
+
 @pytest.mark.study
 def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
     part = RecordingWriter(tmp_path / "a.h5", HEADER, 35, batch=1)
@@ -157,7 +221,7 @@ def test_every_number_of_rows_is_read_and_recovered(tmp_path: Path) -> None:
         with Recording(part.path) as recording:
             assert (len(recording), recording.damaged, recording.verify()) == (rows, 0, True)
         if rows % 10 == 0:
-            assert finalise(part.path, tmp_path / "b.h5", force=True) == (rows, 0, True)
+            assert finalise(part.path, tmp_path / "b.h5", force=True)[:3] == (rows, 0, True)
         if rows < 35:
             part.append(Row(rows, time=rows / 100.0, torque=0.5))
     part.close()

@@ -94,6 +94,21 @@ def test_two_writers_use_different_temporary_names(tmp_path: Path) -> None:
         assert one != two
 
 
+@pytest.mark.parametrize(
+    ("failure", "remedy"),
+    [
+        (OSError(errno.ENOSPC, "full"), "No space left on device): make room, or name another folder"),
+        (RuntimeError("errno = 28, error message = 'No space left on device'"), "device): make room, or name another"),
+        (OSError(errno.EACCES, "no"), "Permission denied): name another folder"),
+    ],
+)
+def test_a_full_disk_needs_room_and_no_option_that_a_command_may_lack(failure: Exception, remedy: str) -> None:
+    with pytest.raises(WrongUse) as caught, output.writing(Path("r.html")):
+        raise failure
+    assert remedy in str(caught.value)
+    assert " -o" not in str(caught.value)
+
+
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
 def test_a_result_that_fails_leaves_what_was_there(tmp_path: Path, failure: BaseException) -> None:
     (tmp_path / "a.h5").write_text("old")

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.report.formatting import duration, engineering, people_unit, rounded, rounded_in_thousands
+from hil.report.formatting import duration, engineering, people_unit, rounded, rounded_in_thousands, rounded_with_value
 from hil.units import with_unit
 
 
@@ -56,6 +56,10 @@ def test_a_value_is_rounded_to_the_first_digit_of_its_uncertainty(
     half: float, value: float, printed: list[str]
 ) -> None:
     assert rounded(half, value) == printed
+
+
+def test_a_value_with_a_wide_interval_keeps_two_digits_of_it() -> None:
+    assert [rounded_with_value(*pair)[1] for pair in ((0.97, 2.484), (0.0163, 17.78))] == ["0.97", "0.02"]
 
 
 @pytest.mark.parametrize(

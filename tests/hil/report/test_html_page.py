@@ -26,6 +26,7 @@ from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
 from hil.report.chart import Chart, Line, Panel, Scale
 from hil.report.html_page import Page, Picture, Section, write
+from hil.report.pictures import result as drawing
 from hil.report.pictures.files import write_pictures
 from hil.report.pictures.thinning import loop_pieces, trace_rows
 
@@ -114,6 +115,22 @@ def test_every_picture_has_a_sentence_with_its_numbers(report: Report) -> None:
         assert re.search(r"\d", picture["aria-label"] or "")
     names = [found["id"] for tag, found in elements.found if "id" in found]
     assert len(names) == len(set(names))
+
+
+def test_a_table_with_the_heading_of_a_picture_stands_below_it_and_every_heading_stands_once(tmp_path: Path) -> None:
+    line = Line("", np.arange(2.0), np.arange(2.0))
+    pictures = [Picture(name, name, "1", lambda: Chart([Panel("x", "y", [line])])) for name in "abc"]
+    sections = [Section("first"), Section("c", [["", "of c"]]), Section("last", lines=["of last"])]
+    page = Page("", "", [""], [], sections, pictures, [], {})
+    text = write(page, tmp_path / "p.html", force=False).read_text(encoding="utf-8")
+    assert re.findall("<h2>(.*?)</h2>", text) == ["first", "a", "b", "c", "last", "Provenance"]
+    assert text.index('<details id="c">') < text.index("table: c") < text.index("of last")
+
+
+def test_the_pictures_that_a_command_looks_for_before_it_works_are_all_that_are_drawn(
+    answer: api.IdentificationResult,
+) -> None:
+    assert {one.name for one in drawing.pictures(answer.identification)} <= set(drawing.NAMES)
 
 
 def test_two_pictures_are_on_the_first_page_and_the_rest_is_folded_below_links_to_it(report: Report) -> None:
@@ -285,6 +302,9 @@ def test_a_browser_opens_the_report_from_disk_shows_the_numbers_and_zooms(
     closer = "<script>document.querySelector('[data-chart=traces] button[value=closer]').click()</script>"
     whole, near = opened(page, ""), opened(page, closer)
     assert "Kc = " in whole.stdout
+    legends = re.findall(r'class="u-label">(.*?)</div>.*?class="u-value">(.*?)</td>', whole.stdout)
+    assert len(legends) == 5  # time twice, measured, model, error: the range without a cursor
+    assert all(re.fullmatch(r"-?[\d.]+(e-\d+)? to [\d.]+(e-\d+)?", value) for _, value in legends)
     assert embedded(whole.stdout) == json.loads(json.dumps(result.as_json()))
     first, last = range_shown(whole.stdout)
     low, high = range_shown(near.stdout)
@@ -317,10 +337,9 @@ def test_axe_finds_no_barrier_in_a_report(
 def test_the_command_line_that_made_a_report_is_in_it(
     make_recording: Maker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = make_recording(samples=400, noise=2e-4)
-    words = ["identify", str(path), "--model", "linear", "--trials", "1", "--report", str(tmp_path / "r.html")]
-    monkeypatch.setattr("sys.argv", ["hil", *words])
-    assert run(words) == 0
+    words = ["--model", "linear", "--trials", "1", "--report", str(tmp_path / "r.html")]
+    monkeypatch.setattr("sys.argv", ["hil", "identify", str(make_recording(samples=400, noise=2e-4)), *words])
+    assert run(sys.argv[1:]) == 0
     assert f"--report {tmp_path / 'r.html'}" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 

@@ -96,13 +96,7 @@ def test_pooled_recordings_say_why_their_interval_is_what_it_is(found: Identific
 
 @pytest.mark.parametrize(("kc", "factor", "unit"), [(0.02, 1e3, "mN m"), (20.0, 1.0, "N m")])
 def test_a_page_says_value_interval_and_unit_as_they_were_found(
-    found: Identification,
-    make_recording: Maker,
-    tmp_path: Path,
-    *,
-    kc: float,
-    factor: float,
-    unit: str,
+    found: Identification, make_recording: Maker, tmp_path: Path, *, kc: float, factor: float, unit: str
 ) -> None:
     """A hand's joint is spoken of in mN m, as in the paper; an arm's is not."""
     result = found

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.signals.angle import bursts, far_zero, frozen, spikes, unwrapped
+from hil.signals.angle import bursts, far_zero, frozen, outliers, spikes, unwrapped
 
 TIME = np.arange(5000) / 500.0
 ANGLE = 0.3 * np.sin(2.0 * np.pi * TIME)
@@ -130,6 +130,24 @@ def test_no_reading_of_a_sharp_held_or_noisy_motion_counts_as_wrong(angle: np.nd
     read = count * np.round(angle / count)
     assert not spikes(TIME, read).any()
     assert not bursts(TIME, read, 0.3 * angle + 0.01 * np.gradient(angle)).any()
+    assert np.count_nonzero(outliers(TIME, read, ANGLE)) <= 1  # as a torque
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_wrong_readings_of_a_torque_are_found_but_not_its_steps(rows: int) -> None:
+    steps = 0.02 * np.sign(np.gradient(ANGLE)) + 1e-4 * np.random.default_rng(0).standard_normal(5000)
+    wrong = (np.arange(5000) - 17) % 173 < rows
+
+    assert np.array_equal(outliers(TIME, np.where(wrong, -1.0, TORQUE + steps), ANGLE), wrong)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_torque_of_dry_friction_counts_as_wrong_where_a_fast_motion_reverses_twice(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    angle = 0.05 * np.convolve(rng.standard_normal(5000), np.hanning(60), "same")
+    torque = 0.02 * angle + 0.01 * np.sign(np.gradient(angle))
+
+    assert not outliers(TIME, torque, angle + 1e-4 * rng.standard_normal(5000)).any()
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 
 from hil.errors import Untrustworthy
 from hil.recording.reader import Array, Recording
+from hil.signals.angle import frozen
 from hil.signals.defects import clipped
 from hil.signals.prepare import LongRecording, prepare
+from hil.signals.quality import _wrong_torques
+from hil.signals.zero_steps import stuck_torque
 
 from ..conftest import Maker
 
@@ -64,6 +67,28 @@ def test_the_rate_beside_a_clipped_torque_is_that_of_the_whole_motion(make_recor
     np.testing.assert_allclose(np.linalg.lstsq(columns, signals.torque, rcond=None)[0], [0.02, 2e-4], rtol=1e-3)
     assert signals.defects.clipped > 0.08 * (len(signals) + signals.defects.clipped)
     assert signals.defects.near_gaps < 0.05 * len(signals)
+
+
+@pytest.mark.parametrize("value", [0.0, 4e-3])
+def test_a_torque_that_stands_still_amid_motion_is_left_out_and_its_rows_are_counted(
+    make_recording: Maker, value: float
+) -> None:
+    def stick(channels: dict[str, Array]) -> None:
+        channels["torque"][600:850] = value
+
+    with Recording(make_recording(kc=0.02, bc=2e-4, change=stick)) as recording:
+        signals, time = prepare(recording, None), recording.channel("time")
+    assert signals.defects.stuck_torques == tuple(time[600:850])
+    assert not np.isin(signals.motion.time, time[600:850]).any()
+    (said,) = _wrong_torques(signals.defects, 2000)
+    assert f"the torque of 250 of 2000 rows, from {time[600]:.6g} s to {time[849]:.6g} s, is constant" in said.message
+
+
+def test_a_torque_that_is_constant_in_a_gap_is_not_stuck() -> None:
+    angle = 0.3 * np.sin(2.0 * np.pi * 0.25 * TIME)
+    torque = 0.25 * (angle - np.clip(angle, -0.15, 0.15))
+    assert frozen(TIME, torque, angle).any()
+    assert not stuck_torque(TIME, torque, angle).any()
 
 
 def in_bursts(channels: dict[str, Array]) -> None:

@@ -63,6 +63,7 @@ LIMITS_OF_WARNINGS = [
     ("defects", Defects(frozen=1), "invalid-readings", False),
     ("defects", Defects(clipped=1), "invalid-readings", False),
     ("defects", Defects(spikes=1), "angle-spikes", False),
+    ("defects", Defects(wrong_torques=(-1.0,)), "invalid-readings", False),
     ("defects", Defects(wraps=1), "angle-wrapped", False),
     ("defects", Defects(jerked=100), "unknown-rate", None),
     ("defects", Defects(jerked=101), "unknown-rate", False),

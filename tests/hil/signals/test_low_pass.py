@@ -12,7 +12,7 @@ from scipy.signal import butter, sosfilt
 from ga.model.trajectory import Motion
 from hil.recording.reader import Array
 from hil.signals import constants
-from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing, transform_size
+from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial
 from hil.signals.rate.spectrum import Spectrum
 from hil.signals.rate.windows import window_for, windows
@@ -207,10 +207,3 @@ def test_a_window_that_lies_across_a_long_gap_does_not_hide_the_noise_of_the_oth
     found = window_for(time, np.sin(2.0 * np.pi * 3.0 * time) + noise, np.sin(2.0 * np.pi * 3.0 * time))
 
     assert 5e-4 < found.of_deflection < 1.1e-3
-
-
-@pytest.mark.parametrize(
-    ("count", "size"), [(1, 1), (7, 8), (11, 12), (17, 18), (125, 125), (243, 243), (1025, 1080), (39_500, 40_000)]
-)
-def test_a_transform_has_the_next_size_that_is_a_product_of_two_three_and_five(count: int, size: int) -> None:
-    assert transform_size(count) == size

@@ -1,15 +1,12 @@
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete, lfilter
 
 from ga.model.trajectory import Motion
-from hil.signals.slow_channel import Readings, kind_of, noise_beside_any_shape, readings, repaced, stamped
+from hil.signals.slow_channel import Readings, kind_of, noise_beside_any_shape, readings, stamped
 
 Array = NDArray[np.float64]
 TICKS = np.arange(5000) / 500.0
@@ -138,68 +135,8 @@ def test_readings_beside_a_lost_reply_have_no_known_age() -> None:
     assert len(found.time) > 600
 
 
-@pytest.mark.study
-def test_a_pace_that_the_ticks_leave_open_is_that_of_the_motion() -> None:
-    angle, rate = np.sin(OMEGA * TICKS), OMEGA * np.cos(OMEGA * TICKS)
-    motion = Motion(TICKS, angle, rate, -(OMEGA**2) * angle, np.zeros(5000))
-    at = np.arange(0.1, 9.9, 0.01)
-    true = at + 1e-4 * (at - 5.0)
-    measured = 0.3 * np.sin(OMEGA * true) + 3e-3 * OMEGA * np.cos(OMEGA * true)
-    found = repaced(Readings(np.arange(len(at)), at, measured, 2e-3, 2e-3), motion)
-    assert np.abs(found - true).max() < 2e-5
-
-
 def with_play(angle: Array, rate: Array) -> Array:
     return np.asarray(0.3 * (angle - np.clip(angle, -0.1, 0.1)) + 3e-3 * rate)
-
-
-def with_friction(angle: Array, rate: Array) -> Array:
-    return np.asarray(0.3 * angle + 3e-3 * rate + 0.02 * np.tanh(30.0 * rate))
-
-
-@pytest.mark.parametrize("law", [with_play, with_friction])
-@pytest.mark.parametrize("drift", [0.0, 1e-4])
-def test_only_a_drift_of_the_pace_that_the_torque_shows_counts_whatever_the_law(
-    law: Callable[[Array, Array], Array], drift: float
-) -> None:
-    """Held against a line, the play looked like a drift of 0.7 ms over these ten seconds, and friction like 0.2 ms."""
-
-    def sweep(time: Array) -> tuple[Array, Array, Array]:
-        speed = 2.0 * np.pi * 0.3 * np.exp(0.35 * time)
-        phase = speed / 0.35
-        rate = speed * np.cos(phase)
-        return np.sin(phase), rate, 0.35 * rate - speed**2 * np.sin(phase)
-
-    motion = Motion(TICKS, *sweep(TICKS), np.zeros(5000))
-    at = np.arange(0.1, 9.9, 0.004)
-    true = at + drift * (at - 5.0) + 1e-3
-    measured = law(*sweep(true)[:2]) + 1e-3 * np.random.default_rng(8).standard_normal(len(at))
-    found = repaced(Readings(np.arange(len(at)), at, measured, 2e-3, 2e-3), motion)
-    if drift == 0.0:
-        np.testing.assert_array_equal(found, at)
-    assert np.abs(found + 1e-3 - true).max() < 1.5e-4  # of 0.5 ms
-
-
-@pytest.mark.parametrize("drift", [0.0, 1e-4])
-def test_a_branch_that_relaxes_does_not_look_like_a_drift_of_the_pace_and_hides_none(drift: float) -> None:
-    """Beside shapes without memory, the branch hid this drift: it showed by less than its scatter."""
-    fine = np.arange(-40_000, 220_000) / 20_000.0
-    speed = 2.0 * np.pi * 0.3 * np.exp(0.25 * fine)
-    phase = speed / 0.25
-    angle, rate = np.sin(phase), speed * np.cos(phase)
-    keep = math.exp(-1.0 / (20_000.0 * 0.04))
-    relaxing = lfilter([0.1 * 0.04 * (1.0 - keep)], [1.0, -keep], rate)  # M' = K rate - M / tau, exactly
-    measured = 0.3 * angle + 3e-3 * rate + relaxing
-    acceleration = 0.25 * rate - speed**2 * np.sin(phase)
-    grid = np.searchsorted(fine, TICKS)
-    motion = Motion(TICKS, angle[grid], rate[grid], acceleration[grid], np.zeros(5000))
-    at = np.arange(0.1, 9.9, 0.006)
-    noise = 5e-4 * np.random.default_rng(8).standard_normal(len(at))
-    values = np.interp(at + drift * (at - 5.0), fine, measured) + noise
-    found = repaced(Readings(np.arange(len(at)), at, values, 2e-3, 2e-3), motion)
-    if drift == 0.0:
-        np.testing.assert_array_equal(found, at)
-    assert np.abs(found - at - drift * (at - 5.0)).max() < 1.5e-4  # of 0.5 ms
 
 
 def test_a_pace_that_crosses_the_ticks_once_is_sure_where_it_does_and_may_drift() -> None:

@@ -40,16 +40,13 @@ def test_a_file_with_only_a_stand_is_enough_to_import() -> None:
 
 
 def test_the_simulator_has_the_motor_of_the_stand_unless_it_has_its_own() -> None:
+    _, truth = open_servo(parse('[stand]\nbackend = "sim"\n'), seed=0, realtime=False)
+    assert truth["gear_ratio"] == 1.0  # the stand's, even where it is not stated
     text = '[stand]\nbackend = "sim"\ngear_ratio = 6.0\nmotor_inertia = 5e-7\n'
     _, truth = open_servo(parse(text), seed=0, realtime=False)
     assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 5e-7)
     _, truth = open_servo(parse(text + "[sim.motor]\ninertia = 9e-7\n"), seed=0, realtime=False)
     assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 9e-7)
-
-
-def test_the_simulators_gear_is_the_stands_even_where_it_is_not_stated() -> None:
-    _, truth = open_servo(parse('[stand]\nbackend = "sim"\n'), seed=0, realtime=False)
-    assert truth["gear_ratio"] == 1.0
 
 
 def test_every_error_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
@@ -178,8 +175,7 @@ def test_every_parameter_of_the_simulator_can_be_set_in_its_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
-    [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "has no backend")],
+    ("name", "message"), [("simm", "did you mean 'sim'"), ("valve", "known are sim"), (None, "has no backend")]
 )
 def test_an_unknown_backend_is_refused_with_the_known_ones(name: str | None, message: str) -> None:
     with pytest.raises(WrongUse, match=message):
@@ -245,8 +241,7 @@ def test_the_set_points_select_the_mode_of_a_moteus_that_leaves_it_open() -> Non
     table = MoteusConfig(interface="socketcan", channel="can0")
     for quantity in Quantity:
         chosen = table.for_quantity(quantity)
-        assert (chosen.mode, chosen.quantity) == (quantity.value, quantity)
-        assert chosen.for_quantity(quantity) == chosen
+        assert (chosen.mode, chosen.quantity, chosen.for_quantity(quantity)) == (quantity.value, quantity, chosen)
     with pytest.raises(ValueError, match="does not command position"):
         table.for_quantity(Quantity.TORQUE).for_quantity(Quantity.POSITION)
 
@@ -302,11 +297,11 @@ def test_every_physical_key_of_a_device_names_its_unit(name: str) -> None:
 def test_a_drive_and_the_simulator_take_values_with_units() -> None:
     stand = parse(
         '[stand]\n[dynamixel]\nport = "p"\nmodel = "xl330-m288"\nreturn_delay = "508 us"\nwatchdog = "100 ms"\n'
-        'torque_constant = "900 mN*m/A"\n[sim.drive]\ntorque_limit = "0.5 N m"\nsupply_voltage = "12000 mV"\n'
+        'torque_constant = "400 mN*m/A"\n[sim.drive]\ntorque_limit = "0.5 N m"\nsupply_voltage = "12000 mV"\n'
         '[sim.motor]\nwinding_resistance = "8.7 ohm"\n[sim.coupling]\nstiffness = "17.75 mN*m/rad"\n'
     )
     servo, sim = stand.devices["dynamixel"], stand.sim
-    assert (servo.return_delay, servo.watchdog, servo.torque_constant) == (508e-6, 0.1, 0.9)
+    assert (servo.return_delay, servo.watchdog, servo.torque_constant) == (508e-6, 0.1, 0.4)
     assert (sim.drive.torque_limit, sim.drive.supply_voltage) == (0.5, 12.0)
     assert (sim.motor.winding_resistance, sim.coupling.stiffness) == (8.7, 0.01775)
 

@@ -15,8 +15,8 @@ from hil.studio.guard import Access, Guard
 PORT = 8455
 HERE, OURS = f"127.0.0.1:{PORT}", f"http://127.0.0.1:{PORT}"
 ACCESS = Access(PORT)
-COOKIE = f"{ACCESS.cookie}={ACCESS.secret}"
-PAGE = {"host": HERE, "origin": OURS, "sec-fetch-site": "same-origin", "cookie": COOKIE}
+KEY = f"Bearer {ACCESS.key}"
+PAGE = {"host": HERE, "origin": OURS, "sec-fetch-site": "same-origin", "authorization": KEY}
 EVIL = {"host": "evil.example:8455", "origin": "http://evil.example:8455", "sec-fetch-site": "same-origin"}
 
 
@@ -38,30 +38,32 @@ TABLE = [
     ("GET /api/folder HTTP", PAGE, 200),
     ("GET /api/folder HTTP", without("origin"), 200),  # a fetch of the page itself has none
     ("GET /api/folder HTTP", without("origin", "sec-fetch-site"), 200),  # an old browser
-    ("GET /api/folder HTTP", without("cookie"), 401),
-    ("GET /api/folder HTTP", PAGE | {"cookie": f"{ACCESS.cookie}=wrong"}, 401),
-    ("GET /api/folder HTTP", PAGE | {"cookie": f"{COOKIE}; {COOKIE}"}, 401),
-    ("GET /api/folder HTTP", PAGE | {"cookie": f"hil-studio-1={ACCESS.secret}"}, 401),
-    ("GET /api/folder HTTP", PAGE | {"cookie": f"other=1; {COOKIE}"}, 200),
+    ("GET /api/folder HTTP", without("authorization"), 401),
+    ("GET /api/folder HTTP", PAGE | {"authorization": "Bearer wrong"}, 401),
+    ("GET /api/folder HTTP", PAGE | {"authorization": "Bearer \xff"}, 401),
+    ("GET /api/folder HTTP", without("authorization") | {"cookie": f"key={ACCESS.key}"}, 401),  # any port gets those
+    ("GET /ticket/x HTTP", without("authorization", "origin"), 200),
+    ("GET /ticket/x HTTP", without("authorization", "origin") | {"sec-fetch-site": "cross-site"}, 403),
+    ("POST /ticket/x HTTP", without("authorization"), 401),
     ("GET /api/folder HTTP", without("origin") | {"sec-fetch-site": "cross-site"}, 403),
     ("GET /api/folder HTTP", without("origin") | {"sec-fetch-site": "same-site"}, 403),  # another port of this host
-    ("GET /api/report HTTP", without("origin") | {"sec-fetch-site": "none"}, 403),  # typed by hand: it has no page
+    ("GET /api/trace HTTP", without("origin") | {"sec-fetch-site": "none"}, 403),  # typed by hand: it has no page
     ("GET /api/folder HTTP", PAGE | {"origin": "null"}, 403),  # a report in its sandbox
     ("POST /api/stop HTTP", PAGE, 200),
     ("POST /api/stop HTTP", without("origin"), 403),
-    ("POST /api/stop HTTP", without("cookie"), 401),
+    ("POST /api/stop HTTP", without("authorization"), 401),
     ("POST /api/start HTTP", PAGE | {"origin": "http://evil.example"}, 403),
     ("POST /api/start HTTP", PAGE | {"origin": "http://127.0.0.1:8456"}, 403),
     ("POST /api/start HTTP", PAGE | {"origin": f"https://{HERE}"}, 403),
     ("DELETE /api/start HTTP", without("origin"), 403),
-    ("POST /token HTTP", without("cookie"), 200),
-    ("POST /token HTTP", without("cookie", "origin"), 403),
-    ("GET /token HTTP", without("cookie"), 401),
+    ("POST /token HTTP", without("authorization"), 200),
+    ("POST /token HTTP", without("authorization", "origin"), 403),
+    ("GET /token HTTP", without("authorization"), 401),
     ("websocket /api/stream WS", without("sec-fetch-site"), 200),  # Chromium sends none with a handshake
-    ("websocket /api/stream WS", without("sec-fetch-site", "cookie"), 403),
+    ("websocket /api/stream WS", without("sec-fetch-site", "authorization"), 200),
     ("websocket /api/stream WS", without("sec-fetch-site", "origin"), 403),
     ("websocket /api/stream WS", PAGE | {"origin": "http://evil.example"}, 403),
-    ("websocket /token WS", without("cookie"), 403),
+    ("websocket /api/stream WS", PAGE | {"origin": "null"}, 403),
     ("websocket / WS", EVIL, 403),
     ("websocket / WS", {"host": HERE}, 403),
 ]
@@ -73,7 +75,7 @@ async def asked(line: str, headers: dict[str, str]) -> tuple[int, dict[bytes, by
     scope: MutableMapping[str, Any] = {"type": "http", "method": method, "path": path}
     if kind == "WS":
         scope = {"type": "websocket", "path": path}
-    scope["headers"] = [(name.encode(), value.encode()) for name, value in headers.items()]
+    scope["headers"] = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
     sent: list[MutableMapping[str, Any]] = []
 
     async def behind(scope: MutableMapping[str, Any], _receive: Any, send: Any) -> None:
@@ -92,7 +94,7 @@ async def asked(line: str, headers: dict[str, str]) -> tuple[int, dict[bytes, by
 
 
 @pytest.mark.parametrize(("line", "headers", "status"), TABLE)
-def test_a_request_passes_only_with_our_host_our_origin_and_the_cookie(
+def test_a_request_passes_only_with_our_host_our_origin_and_the_key(
     line: str, headers: dict[str, str], status: int
 ) -> None:
     found, answered = asyncio.run(asked(line, headers))
@@ -107,4 +109,4 @@ def test_a_link_is_good_for_one_browser_and_only_the_newest() -> None:
     assert not access.spend("")
     first, second = (access.link().partition("#")[2] for _ in range(2))
     assert [access.spend(token) for token in (first, second + "x", second, second)] == [False, False, True, False]
-    assert access.secret not in {first, second}
+    assert access.key not in {first, second}

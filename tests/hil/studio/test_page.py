@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -27,7 +29,7 @@ from hil.studio.commands import line_of
 from hil.studio.folder import Folder
 from hil.studio.guard import Access
 from hil.studio.jobs import Jobs
-from hil.studio.server import app, bind
+from hil.studio.server import _text, app, bind
 
 from ..conftest import Maker, copied, exit_status
 
@@ -36,23 +38,31 @@ PAGE = {"origin": f"http://127.0.0.1:{PORT}", "sec-fetch-site": "same-origin"}
 
 
 @pytest.fixture
-def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
+def threads_end() -> Iterator[None]:
+    """Those of AnyIO end with the client, but nobody waits for them."""
+    yield
+    for thread in threading.enumerate():
+        if thread.name.startswith("AnyIO"):
+            thread.join()
+
+
+@pytest.fixture
+def page(threads_end: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestClient]:
     """A browser that has opened the link."""
+    del threads_end  # it is their end that is waited for
     monkeypatch.chdir(tmp_path)
     access = Access(PORT)
     jobs = Jobs(Folder(tmp_path))
     client = TestClient(app(access, jobs), base_url=f"http://127.0.0.1:{PORT}", headers=PAGE)
     assert client.get("/api/folder").status_code == 401
     token = access.link().partition("#")[2]
-    assert [client.post("/token", json={"token": one}).status_code for one in ("x", token, token)] == [403, 200, 403]
-    cookie = next(iter(client.cookies.jar))
-    assert (cookie.has_nonstandard_attr("HttpOnly"), cookie.get_nonstandard_attr("SameSite")) == (True, "strict")
+    answers = [client.post("/token", json={"token": one}) for one in ("x", token, token)]
+    assert [one.status_code for one in answers] == [403, 200, 403]
+    assert not client.cookies  # a browser would send one to the servers of other users on this computer
+    client.headers["authorization"] = f"Bearer {answers[1].json()['key']}"
     with client:
         yield client
     jobs.end()
-    for thread in threading.enumerate():
-        if thread.name.startswith("AnyIO"):  # it ends with the client, but nobody waits for it
-            thread.join()
 
 
 def refused(page: TestClient, path: str, sent: dict[str, Any]) -> str:
@@ -121,18 +131,107 @@ def test_a_trace_is_the_recordings_and_one_that_was_deleted_is_refused(page: Tes
     assert (answer.status_code, "was removed or renamed" in answer.json()["refused"]) == (400, True)
 
 
-def test_no_file_outside_the_folder_is_read(page: TestClient, tmp_path: Path) -> None:
-    (tmp_path / "link.html").symlink_to("/etc/hostname")
-    for name in ("../x", "/etc/passwd", "link.html", "", ".", "a\0b"):
-        assert page.get("/api/file", params={"name": name}).status_code == 400
+def test_only_regular_files_of_the_folder_are_listed_and_read(page: TestClient, make_recording: Maker) -> None:
+    folder = make_recording(samples=10).parent
+    outside = folder.with_name(f"{folder.name}-outside")
+    outside.mkdir()
+    (outside / "far.h5").touch()
+    (outside / "s.toml").write_text("[stand]\ngear = 3\n")
+    for number, target in enumerate(["/dev/zero", "gone", str(outside / "far.h5"), str(outside / "s.toml"), "/etc"]):
+        for suffix in (".toml", ".h5", ".html", ".h5.part"):
+            (folder / f"link{number}{suffix}").symlink_to(target)
+    (folder / "within.h5").symlink_to("a.h5")
+    (folder / "linked").symlink_to(outside)
+    (folder / ".#editor.toml").symlink_to("me@here.1:2")
+    (folder / "folder.toml").mkdir()
+    for name in ("pipe.toml", "pipe.h5", "a.html", "pipe.h5.part"):
+        os.mkfifo(folder / name)
+    for odd in (b"\xff.h5", b"\xff.toml"):
+        Path(os.fsdecode(os.path.join(os.fsencode(folder), odd))).write_text("[stand]\ngear = 3\n")  # noqa: PTH118
+    table = page.get("/api/folder").json()
+    assert [one["file"] for one in table["stands"]] == ["sim"]
+    assert {one["file"] for one in table["recordings"]} == {"a.h5", "within.h5"}
+    assert [one["report"] for one in table["recordings"]] == ["", ""]
+    for name in ["../x", "/etc/passwd", "", ".", "a\0b", "linked/far.h5", *(one.name for one in folder.iterdir())]:
+        if name in {"a.h5", "within.h5"} or not name.isprintable():
+            continue
+        for path in ("/api/ticket", "/api/trace"):
+            assert page.get(path, params={"name": name}).status_code == 400, name
+        assert "no file of this folder" in refused(page, "/api/start", {"kind": "doctor", "stand": name})
+    (folder / "recordings").symlink_to(outside)
+    assert "writes no file outside" in refused(page, "/api/start", {"kind": "record", "stand": "sim"})
 
 
-def test_a_report_is_shut_off_from_the_page(page: TestClient, tmp_path: Path) -> None:
+def test_a_number_that_json_does_not_have_is_null() -> None:
+    assert _text([math.nan, math.inf, 1.5]) == "[null, null, 1.5]"
+
+
+@pytest.mark.usefixtures("threads_end")
+def test_a_folder_whose_name_is_not_utf_8_is_shown(tmp_path: Path) -> None:
+    (folder := tmp_path / "\udcff").mkdir()
+    access = Access(PORT)
+    client = TestClient(app(access, Jobs(Folder(folder))), base_url=f"http://127.0.0.1:{PORT}", headers=PAGE)
+    with client:
+        answer = client.get("/api/folder", headers={"authorization": f"Bearer {access.key}"})
+    assert answer.json()["folder"] == str(folder.resolve())
+
+
+def test_a_report_is_shut_off_from_the_page_and_shown_in_a_frame_only(page: TestClient, tmp_path: Path) -> None:
     (tmp_path / "a.html").write_text("<title>a.h5: Kc</title>")
-    answer = page.get("/api/report?name=a.html")
+    address = page.get("/api/ticket?kind=report&name=a.html").json()["address"]
+    del page.headers["authorization"]
+    answer = page.get(address, headers={"sec-fetch-dest": "iframe"})
     policy = answer.headers["content-security-policy"]
-    assert policy.startswith("sandbox allow-scripts;")
+    assert policy.startswith("sandbox allow-scripts; default-src 'none';")
     assert "allow-same-origin" not in policy
+    assert page.get(address, headers={"sec-fetch-dest": "document"}).status_code == 403
+    assert page.get("/ticket/x").status_code == 400
+
+
+def test_an_alarm_stays_until_it_is_acknowledged_and_nothing_moves_before(
+    page: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cry = "import sys; sys.exit('hil: CUT THE POWER: the torque-off is not confirmed')"
+    with monkeypatch.context() as patched:
+        patched.setattr("hil.studio.jobs.command", lambda *_: [sys.executable, "-c", cry])
+        assert page.post("/api/start", json={"kind": "design", "stand": "sim"}).status_code == 200
+    with page.websocket_connect(f"ws://127.0.0.1:{PORT}/api/stream") as stream:
+        stream.send_text(page.headers["authorization"].removeprefix("Bearer "))
+
+        def message() -> dict[str, Any]:
+            return dict(json.loads(stream.receive_text()))
+
+        while (state := message())["status"] is None:
+            pass
+        assert "CUT THE POWER" in state["alarm"]
+        assert state["free"] > 0
+        first = state["number"]
+        assert "CUT THE POWER" in refused(page, "/api/start", {"kind": "record", "stand": "sim"})
+        assert page.post("/api/start", json={"kind": "design", "stand": "sim"}).status_code == 200
+        while (state := message())["number"] == first:
+            pass
+        assert "CUT THE POWER" in state["alarm"]
+        page.post("/api/acknowledge")
+        while message()["alarm"]:
+            pass
+
+
+def test_a_preview_of_a_run_of_any_length_takes_little_memory_and_time() -> None:
+    # ru_maxrss of a process is at least that of the one it was forked from
+    code = "import resource; from hil.studio.preview import preview; import json, sys; from pathlib import Path; "
+    code += (
+        "f = preview('sim', {'duration': sys.argv[1]}); own = Path('/proc/self/status').read_text(); print(json.dumps"
+    )
+    code += "([f.get('said', ''), len(f['curves']['time']), int(own.split('VmHWM:')[1].split()[0]), "
+    code += "resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss]))"
+    subprocess.run([sys.executable, "-c", code, "20"], capture_output=True, check=True)  # which may have to compile
+    for duration, words in (("20", ""), ("100000", "too long to be predicted"), ("1e9", "too long")):
+        out = subprocess.run([sys.executable, "-c", code, duration], capture_output=True, check=True).stdout
+        said, points, *sizes = json.loads(out)
+        assert words in said
+        assert bool(words) == bool(said)
+        assert 0 < points < 30_000
+        assert max(sizes) < 300e3  # KiB
 
 
 @pytest.mark.parametrize(
@@ -218,15 +317,17 @@ def test_a_run_that_another_program_started_is_shown_and_stopped_softly(page: Te
     while not (tmp_path / "a.h5.part").exists() and time.monotonic() < begun + 60.0:
         time.sleep(0.01)
     states: list[dict[str, Any]] = []
+    answers: list[dict[str, Any]] = []
     rows = 0
-    assert page.post("/api/stop?press=0.5").json() == {"running": False}  # too early, and again below
+    assert page.post("/api/stop?press=0.5").json() == {"press": "0.5", "running": False}  # too early, and again below
     page.get("/api/folder")
-    cookie = "; ".join(f"{one.name}={one.value}" for one in page.cookies.jar)
-    with page.websocket_connect(f"ws://127.0.0.1:{PORT}/api/stream", headers={"cookie": cookie}) as stream:
+    with page.websocket_connect(f"ws://127.0.0.1:{PORT}/api/stream") as stream:
+        stream.send_text(page.headers["authorization"].removeprefix("Bearer "))
         while not states or states[-1]["status"] is None:
             message = stream.receive()
             if "text" in message:
-                states.append(json.loads(message["text"]))
+                given = json.loads(message["text"])
+                (states if "number" in given else answers).append(given)
                 continue
             first, count, _ = struct.unpack("<IId", message["bytes"][:16])
             assert first == rows
@@ -234,10 +335,36 @@ def test_a_run_that_another_program_started_is_shown_and_stopped_softly(page: Te
             if rows == count:
                 assert "is running" in refused(page, "/api/start", {"kind": "identify"})
                 stream.send_text("0.5")  # a press of STOP comes in two ways, and a second stop would not ramp down
-                assert page.post("/api/stop?press=0.5").json() == {"running": True}
+                assert page.post("/api/stop?press=0.5").json() == {"press": "0.5", "running": True}
     assert exit_status(child) == 2  # SIGINT
+    assert answers == [{"press": "0.5", "running": True}]
     assert states[-1]["off_after"] > 0.09  # the torque ramps down over 0.1 s
     assert states[-1]["live"]["rows"] == rows
     with Recording(tmp_path / "a.h5") as recording:
         assert [event.code for event in recording.events()] == ["stop-requested", "torque-off"]
         assert len(recording) == rows
+
+
+def test_the_page_shows_the_command_line_that_a_click_would_run(page: TestClient) -> None:
+    wanted = {"kind": "record", "stand": "sim", "duration": "5 s", "note": "a b"}
+    said = page.post("/api/line", json=wanted).json()["command"]
+    assert said.startswith("hil record --backend=sim '--duration=5 s' '--note=a b' --output=recordings/run1.h5")
+    assert "choose one recording" in refused(page, "/api/line", {"kind": "identify", "recordings": []})
+
+
+def test_the_page_is_told_which_process_a_terminal_can_stop(tmp_path: Path) -> None:
+    jobs = Jobs(Folder(tmp_path))
+    assert jobs.start({"kind": "doctor", "stand": "sim"}).state()["process"] > 1
+    jobs.end()
+
+
+def test_the_scripts_name_only_what_the_page_has_and_stay_small() -> None:
+    static = Path(app.__code__.co_filename).with_name("static")
+    shell = (static / "index.html").read_text()
+    scripts = {path.name: path.read_text() for path in static.glob("*.js")}
+    named = {name for text in scripts.values() for name in re.findall(r'at\("([\w-]+)"\)', text)}
+    made = {"rescue-line", "left"}  # by band.js
+    assert {name for name in named if f'id="{name}"' not in shell} <= made
+    assert all(f'src="/static/{name}"' in shell for name in scripts)
+    assert '<button type="button" id="no" autofocus>' in shell  # Enter, Enter starts no motor
+    assert sum(len(text.splitlines()) for text in scripts.values()) <= 800

@@ -1,4 +1,4 @@
-"""Each effect has its column, also for stretches of a few samples, and is found where a model lacks it."""
+"""Each effect has its column, also for pieces of a few samples, and is found where a model lacks it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ga.model.trajectory import Motion
 from hil.identification.candidates.selection import select
 from hil.signals.defects import Defects
 from hil.signals.prepare import Signals
-from hil.uncertainty.effects import EFFECTS, Effect, Recorded, reading_noise
+from hil.uncertainty.effects import EFFECTS, Effect, reading_noise
 from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit
 
 Array = NDArray[np.float64]
@@ -68,8 +68,7 @@ def test_the_mark_of_a_term_is_the_first_in_what_a_model_without_it_leaves(term:
     columns = smaller.columns(MOTION, np.array([values[one.name] for one in smaller.nonlinear]))
     fitted = np.linalg.lstsq(columns, torque, rcond=None)[0]
     residuals, half = torque - columns @ fitted, (1e-3, 1e-5)
-    recorded = Recorded(MOTION.time, torque, MOTION.dtheta, MOTION.dtheta_dot)
-    found = lack_of_fit(recorded, Residuals(residuals, columns, (0, 1), (fitted[0], fitted[1]), half))
+    found = lack_of_fit(Residuals(MOTION, torque, residuals, columns, (0, 1), (fitted[0], fitted[1]), half))
     assert found is not None
     assert found.misfit
     assert term.mark is not None
@@ -87,30 +86,31 @@ def test_the_selection_finds_a_term_or_a_law_that_is_as_good(term: str) -> None:
     model, _, torque = example(TERMS[term])
     signals = Signals(MOTION, torque, Defects(), (0.3, HIGHEST), 0.0, "given")
     found = select(signals, np.ones(len(MOTION), dtype=bool), SEVERAL)
-    others = {"quintic": "exponential", "lugre": "dahl"}
+    others = {"quintic": "exponential"}
     assert {term, others.get(term)}.intersection(found.chosen.terms), (model.name, found.model.name)
     assert found.chosen.stiffness == pytest.approx(KC, rel=0.03)
     assert found.chosen.damping == pytest.approx(BC, rel=0.05)
 
 
-def _in_stretches(*lengths: int) -> Recorded:
+def _in_pieces(*lengths: int) -> Motion:
     time = np.arange(sum(lengths)) / 500.0
     deflection = 0.2 * np.sin(2.0 * np.pi * 1.3 * time) + 1e-4 * np.random.default_rng(5).standard_normal(len(time))
     starts = (0, *np.cumsum(lengths)[:-1].tolist())
-    return Recorded(time, 0.3 * deflection, deflection, np.gradient(deflection, time), starts)
+    rate = np.gradient(deflection, time)
+    return Motion(time, deflection, rate, np.gradient(rate, time), np.zeros(len(time)), starts=starts)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.code)
-def test_an_effect_has_a_finite_column_where_stretches_are_short(effect: Effect) -> None:
-    recorded = _in_stretches(400, 1, 2, 3, 6, 7, 381)
-    for columns in effect.signature(recorded, recorded.torque):
+def test_an_effect_has_a_finite_column_where_pieces_are_short(effect: Effect) -> None:
+    motion = _in_pieces(400, 1, 2, 3, 6, 7, 381)
+    for columns in effect.signature(motion, 0.3 * motion.dtheta, 0.3 * motion.dtheta):
         assert columns.shape[0] == 800
         assert np.isfinite(columns).all()
 
 
-def test_the_noise_of_readings_is_taken_within_a_stretch_and_not_at_its_ends() -> None:
-    recorded = _in_stretches(100, 4, 9)
-    noise, value = reading_noise(recorded), recorded.deflection
+def test_the_noise_of_readings_is_taken_within_a_piece_and_not_at_its_ends() -> None:
+    motion = _in_pieces(100, 4, 9)
+    noise, value = reading_noise(motion), motion.dtheta
     # the sixth difference of binomial weights, scaled to 1 at the middle
     expected = sum(w * value[50 + k] for k, w in enumerate((-1, 6, -15, 20, -15, 6, -1), start=-3)) / 20.0
     assert noise[50] == pytest.approx(expected, abs=1e-15)

@@ -2,12 +2,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hil.uncertainty.effects import Recorded
+from ga.model.trajectory import Motion
 from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
 from hil.uncertainty.misfit import LackOfFit
 
@@ -25,7 +26,21 @@ def moved() -> tuple[Array, Array, Array]:
 
 
 X, V, A = moved()
+MOTION = Motion(TIME, X, V, A, np.zeros_like(X))
 LINEAR = np.stack([X, V, np.ones_like(X)], axis=1)
+
+
+def fitted(torque: Array, columns: Array = LINEAR, motion: Motion = MOTION) -> Residuals:
+    """The least-squares fit of columns (n, 3) to a torque (n,)."""
+    values = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    residuals = torque - columns @ values
+    half = 1.96 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * np.var(residuals))
+    return Residuals(motion, torque, residuals, columns, (0, 1), (values[0], values[1]), (half[0], half[1]))
+
+
+def leaving(torque: Array, residuals: Array, **properties: Any) -> Residuals:
+    """A fit of LINEAR, with the true Kc and Bc, that leaves residuals (n,)."""
+    return replace(Residuals(MOTION, torque, residuals, LINEAR, (0, 1), (KC, BC), (1e-4, 1e-5)), **properties)
 
 
 def judged(torque: Array) -> LackOfFit:
@@ -35,12 +50,7 @@ def judged(torque: Array) -> LackOfFit:
 
 @cache
 def _judged(read: bytes) -> LackOfFit:
-    torque, columns = np.frombuffer(read), LINEAR
-    values = np.linalg.lstsq(columns, torque, rcond=None)[0]
-    residuals = torque - columns @ values
-    half = 1.96 * np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * np.var(residuals))
-    fitted = Residuals(residuals, columns, (0, 1), (values[0], values[1]), (half[0], half[1]))
-    found = lack_of_fit(Recorded(TIME, torque, X, V), fitted)
+    found = lack_of_fit(fitted(np.frombuffer(read)))
     assert found is not None
     return found
 
@@ -206,10 +216,10 @@ def test_roundings_that_repeat_excuse_such_a_misfit_and_its_size_is_in_the_inter
 
 def test_errors_that_stand_in_residuals_and_regressors_are_predicted_from_these() -> None:
     errors = np.random.default_rng(3).standard_normal((2, len(TIME))) * 1e-3
-    recorded = Recorded(TIME, PLAIN, X + errors.sum(axis=0), V)
-    fits = [Residuals(-KC * one, LINEAR, (0, 1), (KC, BC), (1e-3, 1e-5)) for one in (errors.sum(axis=0), errors[0])]
+    motion = replace(MOTION, dtheta=X + errors.sum(axis=0))
+    fits = [leaving(PLAIN, -KC * one, motion=motion) for one in (errors.sum(axis=0), errors[0])]
 
-    both, first = predicted(recorded, *fits) ** 2 / (KC**2 * 1e-6)
+    both, first = predicted(*fits) ** 2 / (KC**2 * 1e-6)
 
     assert both - first == pytest.approx(1.5, rel=0.1)
 
@@ -263,7 +273,7 @@ def test_outliers_do_not_hide_a_misfit() -> None:
 def test_a_misfit_in_less_than_half_of_the_samples_shows_where_all_others_fit_exactly() -> None:
     """The median of the residuals' sizes is zero then, and says nothing of how large the others are."""
     beyond = 0.05 * np.where(np.quantile(X, 0.7) < X, np.sin(40.0 * X), 0.0)
-    found = lack_of_fit(Recorded(TIME, PLAIN + beyond, X, V), Residuals(beyond, LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
+    found = lack_of_fit(leaving(PLAIN + beyond, beyond, half_width=(0.0, 0.0)))
 
     assert found is not None
     assert found.misfit
@@ -272,11 +282,8 @@ def test_a_misfit_in_less_than_half_of_the_samples_shows_where_all_others_fit_ex
 @pytest.mark.study
 def test_where_the_encoder_has_its_zero_changes_nothing() -> None:
     torque = WRONG["cubic"] + noise(1)
-    columns = np.stack([X + 6.0, V, np.ones_like(X)], axis=1)
-    values = np.linalg.lstsq(columns, torque, rcond=None)[0]
-    fitted = Residuals(torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
 
-    moved_away = lack_of_fit(Recorded(TIME, torque, X + 6.0, V), fitted)
+    moved_away = lack_of_fit(fitted(torque, LINEAR + np.array([6.0, 0.0, 0.0]), MOTION.shifted(-6.0)))
 
     assert moved_away is not None
     here = judged(torque)
@@ -291,7 +298,7 @@ def test_a_misfit_of_a_damping_of_zero_is_held_against_its_interval(half: float,
     columns = LINEAR[:, [0, 2]]
     residuals = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
 
-    found = lack_of_fit(Recorded(TIME, torque, X, V), Residuals(residuals, LINEAR, (0, 1), (KC, 0.0), (1.0, half)))
+    found = lack_of_fit(leaving(torque, residuals, values=(KC, 0.0), half_width=(1.0, half)))
 
     assert found is not None
     assert found.outside == (("Bc",) if outside else ())
@@ -328,56 +335,45 @@ def test_an_effect_is_no_suspect_where_one_of_all_explains_as_much_by_chance() -
 
 def test_a_model_without_kc_and_bc_is_tested_too() -> None:
     torque = WRONG["quadratic-damping"] + noise(1)
-    residuals = torque - LINEAR @ np.linalg.lstsq(LINEAR, torque, rcond=None)[0]
 
-    found = lack_of_fit(Recorded(TIME, torque, X, V), Residuals(residuals, LINEAR, None, (np.nan, np.nan), (0.0, 0.0)))
+    found = lack_of_fit(replace(fitted(torque), coupling=None, values=(np.nan, np.nan), half_width=(0.0, 0.0)))
 
     assert found is not None
     assert found.misfit
     assert all(one.Kc is None for one in found.respects)
 
 
-def test_a_long_recording_is_judged_by_some_of_its_stretches() -> None:
+def test_a_long_recording_is_judged_by_some_of_its_pieces() -> None:
     times = 5
-    joined = Recorded(
-        np.arange(times * len(TIME)) / 500.0,
-        np.tile(WRONG["capstan"], times),
-        np.tile(X, times),
-        np.tile(V, times),
-    )
-    joined = replace(joined, torque=joined.torque + np.concatenate([noise(seed) for seed in range(times)]))
-    columns = np.tile(LINEAR, (times, 1))
-    values = np.linalg.lstsq(columns, joined.torque, rcond=None)[0]
+    time, x, v, a, torque = (np.tile(one, times) for one in (TIME, X, V, A, WRONG["capstan"]))
+    motion = Motion(np.arange(len(time)) / 500.0, x, v, a, np.zeros_like(x))
+    noises = np.concatenate([noise(seed) for seed in range(times)])
 
-    found = lack_of_fit(
-        joined, Residuals(joined.torque - columns @ values, columns, (0, 1), (values[0], values[1]), (1e-4, 1e-5))
-    )
+    found = lack_of_fit(fitted(torque + noises, np.tile(LINEAR, (times, 1)), motion))
 
     assert found is not None
     assert found.samples == 20_000
     assert found.misfit
 
 
-def test_a_recording_that_is_too_short_is_not_judged() -> None:
-    few = slice(0, 200)
-    recorded = Recorded(TIME[few], PLAIN[few], X[few], V[few])
-
-    assert lack_of_fit(recorded, Residuals(noise(1)[few], LINEAR[few], (0, 1), (KC, BC), (1e-4, 1e-5))) is None
+FEW = np.arange(200)
 
 
-def test_a_fit_that_leaves_nothing_is_not_judged() -> None:
-    recorded = Recorded(TIME, PLAIN, X, V)
-
-    assert lack_of_fit(recorded, Residuals(np.zeros_like(X), LINEAR, (0, 1), (KC, BC), (0.0, 0.0))) is None
-
-
-@pytest.mark.parametrize("described", [1, 3])
-def test_a_fit_to_no_more_samples_than_it_has_parameters_is_not_judged(described: int) -> None:
-    kept = np.isin(np.arange(len(X)), np.linspace(100, 7000, described).astype(int))
-    recorded = Recorded(TIME, PLAIN + noise(1), X, V)
-    assert lack_of_fit(recorded, Residuals(noise(1), LINEAR, (0, 1), (KC, BC), (1e-4, 1e-5), kept=kept)) is None
+@pytest.mark.parametrize(
+    "fit",
+    [
+        pytest.param(leaving(PLAIN[FEW], noise(1)[FEW], motion=MOTION.alone(FEW), columns=LINEAR[FEW]), id="too short"),
+        pytest.param(leaving(PLAIN, np.zeros_like(X)), id="leaves nothing"),
+        *(
+            pytest.param(leaving(PLAIN + noise(1), noise(1), kept=np.isin(np.arange(len(X)), rows)), id=f"{len(rows)}")
+            for rows in ([100], [100, 3550, 4900])
+        ),
+    ],
+)
+def test_a_recording_too_short_a_fit_that_leaves_nothing_and_one_to_few_samples_are_not_judged(fit: Residuals) -> None:
+    assert lack_of_fit(fit) is None
 
 
 def test_arrays_of_unequal_length_are_refused() -> None:
     with pytest.raises(ValueError, match="5000 samples, 10 residuals"):
-        lack_of_fit(Recorded(TIME, PLAIN, X, V), Residuals(np.zeros(10), LINEAR, (0, 1), (KC, BC), (0.0, 0.0)))
+        lack_of_fit(leaving(PLAIN, np.zeros(10)))

@@ -14,8 +14,9 @@ from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import Command, Limits, Quantity
 from hil.cli.app import run
-from sim_backend.wire.canbus.impedance import CanMotor, Impedance, scaled_joint
+from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.catalogue import EMULATORS, make
+from sim_backend.wire.default_joint import scaled_joint
 from sim_backend.wire.torque_log import COLUMNS, TorqueLog, WatchdogState
 
 LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))

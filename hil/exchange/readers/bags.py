@@ -4,12 +4,14 @@ rosbags.
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from types import MappingProxyType
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,9 @@ UNITS: Mapping[str, str] = MappingProxyType({"position": "rad", "velocity": "rad
 _LARGEST = 1 << 36  # bytes of a file, which is read message by message
 _DESCRIPTION, _DESCRIBED = "metadata.yaml", 1 << 24  # of a folder, and its largest size, bytes
 _DATABASE = b"SQLite format 3\0"  # at the begin of one
+_MCAP = b"\x89MCAP0\r\n"  # at the begin and at the end of one
+_CHUNK, _TO_COMPRESSION = 0x06, 28  # kind of record, and bytes in it before the name of its compression
+_END_RECORDS = frozenset({0x02, 0x0F})  # the records behind the data
 _NO_TABLES = """
     SELECT type, name FROM sqlite_master WHERE type NOT IN ('table', 'index') OR sql LIKE 'create virtual%'
     UNION ALL SELECT 'generated column', x.name FROM sqlite_master AS m, pragma_table_xinfo(m.name) AS x
@@ -40,17 +45,21 @@ _NO_TABLES = """
 
 
 def is_bag(source: Path) -> bool:
-    """Return whether a path is a ROS 2 bag: the folder of a bag, or one of its files."""
+    """Return whether a path is a ROS 2 bag: the folder of a bag, also without its description, or one of its files."""
     with suppress(OSError):  # a name that is too long
-        return source.suffix.lower() in SUFFIXES or (source / _DESCRIPTION).is_file()
+        return source.suffix.lower() in SUFFIXES or (source / _DESCRIPTION).is_file() or bool(_stored(source))
     return False
 
 
-def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Array]:
-    """Return the numbers in the messages of a topic, (n,) each, by heading; "time [s]" starts at the first message.
+def columns(
+    source: Path, topic: str | None, joint: str | None, *, several: bool = False
+) -> tuple[dict[str, Array], list[str]]:
+    """Return the numbers in the messages of a topic, (n,) each, by heading, and sentences about what is lost of the
+    bag. "time [s]" starts at the first message.
 
     topic: None if the bag has only one topic of joint states, or is an export of hil. joint: None if the joint states
-    have one joint. Raises WrongUse, with the list of topics or joints in the bag.
+    have one joint. several: whether "time [s]" starts at the first message of the bag, as for its other topics. Raises
+    WrongUse, with the list of topics or joints in the bag.
     """
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
@@ -58,12 +67,16 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     except ImportError:
         raise WrongUse(f"{source}: a ROS 2 bag needs rosbags: pip install 'hil[ros]', or use CSV") from None
 
-    def _columns() -> dict[str, Array]:
+    def _columns() -> tuple[dict[str, Array], list[str]]:
         _check_files(source)
+        lost = list[str]()
         try:
             # the types are for bags that do not hold the definitions of their messages
-            with AnyReader([source], default_typestore=get_typestore(Stores.LATEST)) as reader:
-                return _read(source, reader, topic, joint)
+            with (
+                _whole(source, lost) as bag,
+                AnyReader([bag], default_typestore=get_typestore(Stores.LATEST)) as reader,
+            ):
+                return _read(source, reader, topic, joint, reader.start_time if several else None), lost
         except AnyReaderError as error:
             if "Profile" not in str(error):
                 raise
@@ -75,12 +88,71 @@ def columns(source: Path, topic: str | None, joint: str | None) -> dict[str, Arr
     return bounded(source, _columns)
 
 
+@contextmanager
+def _whole(source: Path, lost: list[str]) -> Iterator[Path]:
+    """Yield the file to read: of an MCAP without its end, which a killed recorder leaves, a copy of its whole records.
+
+    A folder without its description stands for the only file in it. lost: gets a sentence about what is missing.
+    """
+    if source.is_dir() and not (source / _DESCRIPTION).is_file():
+        [source] = _stored(source)
+        lost.append("the folder has no metadata.yaml, as after a killed recorder; its file is read")
+    if source.suffix.lower() != ".mcap" or _ends(source):
+        yield source
+        return
+    size = source.stat().st_size
+    with NamedTemporaryFile(suffix=".mcap") as copy, source.open("rb") as file:
+        copy.write(file.read(len(_MCAP)))
+        for record in _records(file, size):
+            copy.write(record)
+        copy.write(b"\x02" + (20).to_bytes(8, "little") + bytes(20) + _MCAP)
+        copy.flush()
+        whole = copy.tell() - 29 - 2 * len(_MCAP)
+        if not whole:
+            raise WrongUse(f"{source} is cut off, and no whole record of it is left: use another copy of the file")
+        lost.append(
+            f"the file has no end, as after a killed recorder: {whole} of {size} bytes are whole records and are read, "
+            "and the rest is lost"
+        )
+        yield Path(copy.name)
+
+
+def _records(file: BinaryIO, size: int) -> Iterator[bytes]:
+    """Yield the whole records of an MCAP of `size` bytes. Of a chunk that is cut off, yield those in it, if it is not
+    compressed.
+    """
+    while len(head := file.read(9)) == 9 and head[0] not in _END_RECORDS:
+        length = int.from_bytes(head[1:], "little")
+        if length <= size - file.tell():
+            yield head + file.read(length)
+        elif head[0] != _CHUNK or file.read(_TO_COMPRESSION + 4)[_TO_COMPRESSION:] != bytes(4):
+            return
+        else:
+            file.read(8)  # the length of the records, which follow
+
+
+def _ends(source: Path) -> bool:
+    with source.open("rb") as file:
+        is_mcap = file.read(len(_MCAP)) == _MCAP
+        file.seek(-len(_MCAP), os.SEEK_END)
+        return not is_mcap or file.read() == _MCAP
+
+
+def _stored(folder: Path) -> list[Path]:
+    with suppress(OSError):
+        return sorted(one for one in folder.iterdir() if one.suffix in {".mcap", ".db3"})
+    return []
+
+
 def _check_files(source: Path) -> None:
     """Raise WrongUse for a bag's file that rosbags must not open. The bag's description may name any file in the
     folder, such as a FIFO, for which rosbags would wait forever.
     """
-    if source.is_dir() and not (source / _DESCRIPTION).is_file():
-        raise WrongUse(f"{source} is a folder without metadata.yaml: name the one that `ros2 bag record` made")
+    if source.is_dir() and not (source / _DESCRIPTION).is_file() and len(files := _stored(source)) != 1:
+        raise WrongUse(
+            f"{source} is a folder without metadata.yaml, with {len(files)} files of a bag: name one of them, or "
+            "complete the folder with ros2 bag reindex"
+        )
     for path in source.iterdir() if source.is_dir() else [source]:
         if path.suffix not in SUFFIXES and (path.is_dir() or (path.is_file() and not path.stat().st_size)):
             continue
@@ -103,7 +175,7 @@ def _check_tables(path: Path) -> None:
         raise WrongUse(f"{path} is no ROS 2 bag, which stores its values in tables: it has the {found[0]} {found[1]!r}")
 
 
-def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> dict[str, Array]:
+def _read(source: Path, reader: Any, topic: str | None, joint: str | None, start: int | None) -> dict[str, Array]:
     kinds = {connection.topic: connection.msgtype for connection in reader.connections}
     topic = _topic(source, kinds, topic)
     kind = kinds[topic]
@@ -125,11 +197,11 @@ def _read(source: Path, reader: Any, topic: str | None, joint: str | None) -> di
         return {heading(name): values for name, values in numbers.items() if name in CHANNELS}
     if found.joint is not None:  # an interface of ros2_control is in SI as a joint state is
         numbers = {
-            f"{name} [{UNITS[name]}]" if name in UNITS else name: values
+            f"{name} [{UNITS[field]}]" if (field := name.partition(".")[0]) in UNITS else name: values
             for name, values in numbers.items()
             if values.dtype.kind != "f" or np.isfinite(values).any()
         }
-    return numbers if "time" in numbers else {"time [s]": _seconds(found.stamps)} | numbers
+    return numbers if "time" in numbers else {"time [s]": _seconds(found.stamps, start)} | numbers
 
 
 def _has(kinds: Mapping[str, str]) -> str:
@@ -165,7 +237,7 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield own or received, message
 
 
-def _seconds(stamps: Sequence[int]) -> Array:
-    """Return times in s since the first time. stamps: ns, integers, because a double cannot hold them exactly."""
+def _seconds(stamps: Sequence[int], start: int | None) -> Array:
+    """Return times in s since `start`, None: the first. stamps: ns, integers, which a double cannot hold exactly."""
     times = np.array(stamps, dtype=np.int64)
-    return np.asarray((times - times[0]) * 1e-9, dtype=np.float64)
+    return np.asarray((times - (times[0] if start is None else start)) * 1e-9, dtype=np.float64)

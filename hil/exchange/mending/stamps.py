@@ -1,25 +1,23 @@
-"""Mend a table: stamps that begin anew or stand in another order, and numbers that were logged without their sign, in
-two's complement or with a sign bit.
-"""
+"""Stamps that begin anew, stand in another order, or lack their fraction of a second."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import WrongUse
+from hil.exchange.mending import fractions
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
-_BITS = (16, 24, 32)
-_TICKS = (1.0, 1e-3, 1e-6, 1e-9)  # s, that a counter counts
-_DAY = 86400.0  # s
+_BITS = (15, 16, 24, 30, 31, 32)
+_RARER_BITS = tuple(bits for bits in range(10, 40) if bits not in _BITS)
+_TICKS = (1.0, 1e-3, 1e-6, 1e-9, 1e-7)  # s, that a counter counts
+_CLOCKS = (86400.0, 43200.0, 3600.0, 60.0, 1.0)  # s, after which a clock begins anew
+_FALLING = 0.9  # share of all steps that lead back, from which the newest row is the first
 _NEAR = 20.0  # usual steps, within which a counter reaches its end and begins anew
 _DAMAGED = 0.01  # share of the rows that may have no time, or a wrong one
 _MOVED = 0.02  # share of the rows, by which one may be out of place
@@ -28,11 +26,6 @@ _ALONE = 3  # rows at most that have a wrong stamp side by side
 _PIECE = 64  # rows at least, on average, before the stamps go back once more
 _PAUSE = 0.1  # of all rows: a longer gap than any that identification passes over
 _DENSE = 0.7  # of the usual step, below which two records overlap
-_LEAST = 128.0  # counts, below which the largest number has no sign bit
-_SMOOTHER = 0.9  # of the sum of all steps, that a decoded column has at most
-_EXPLAINED = 0.25  # of the torque that the deflection does not explain, that is left once both are decoded
-_ON_GRID = 0.05  # of a count, within which a number is a whole number of them
-_ROWS = 20_000  # that are looked at
 
 
 def in_order(
@@ -52,6 +45,14 @@ def in_order(
         )
     if bad.size:
         said.append(f"{bad.size} of {count} rows have no time and are left out")
+    steps = np.diff(channels["time"][known])
+    if np.count_nonzero(steps < 0.0) > _FALLING * np.count_nonzero(steps):
+        said.append(
+            "the times fall, so the newest row is the first: the rows are turned round. If the column counts "
+            "down instead, write --time '-NAME'"
+        )
+        channels, rows = {name: values[::-1] for name, values in channels.items()}, rows[::-1]
+        known = known[::-1]
     time, span = _unwrapped(channels["time"][known], unit)
     if span:
         said.append(f"the time begins anew after {span:.7g} s, the range of its counter, and is continued")
@@ -62,10 +63,11 @@ def in_order(
         order = order[~wrong]
     if moved := np.count_nonzero(np.diff(order) < 0):
         said.append(f"rows are out of order, in {moved} places of {count}; they are sorted by their times")
-    time, pieces = _continued(source, time[order], rows[known][order])
+    time, spread = fractions.spread(source, time[order])
+    time, pieces = _continued(source, time, rows[known][order])
     if pieces and one_clock:
         raise WrongUse(f"{source}: {pieces}. No second file can be joined to such times: choose one part with --where")
-    said += [pieces] if pieces else []
+    said += [one for one in (spread, pieces) if one]
     if not said:
         return channels, rows, []
     return {name: values[known][order] for name, values in channels.items()} | {"time": time}, rows[known][order], said
@@ -75,19 +77,26 @@ def _unwrapped(time: Array, unit: float) -> tuple[Array, float]:
     """Return stamps (n,), s, that continue where a counter wrapped around, and the counter's range, s; 0 without a
     wrap.
 
-    unit: unit of the column, s. A counter of 16, 24 or 32 bits, or a time of day, is recognised if every step back
-    leads from the end of its range to the beginning.
+    unit: unit of the column, s. A counter with a number of bits, a clock, or a counter that begins anew more than once
+    after the same time, is recognised if every step back leads from the end of its range to the beginning.
     """
     steps = np.diff(time)
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    for span in [2.0**bits * tick for tick in dict.fromkeys((unit, *_TICKS)) for bits in _BITS] + [_DAY]:
+    back = np.flatnonzero(steps < 0.0)
+    if not back.size or not (steps > 0.0).any():
+        return time, 0.0
+    usual = float(np.median(steps[steps > 0.0]))
+    ticks = tuple(dict.fromkeys((unit, *_TICKS)))
+    spans = [2.0**bits * tick for tick in ticks for bits in _BITS]
+    # a counter that starts from zero begins anew for a further run too, after any time
+    rarer = [*_CLOCKS, *(2.0**bits * tick for tick in ticks for bits in _RARER_BITS)]
+    rarer += [float(np.median(-steps[back])) + usual] if back.size > 1 else []
+    for span in [*spans, *rarer]:
         back = np.flatnonzero(steps < -0.5 * span)
         near = min(_NEAR * usual, 0.01 * span)
         low = -0.5 * span if time.min() < 0.0 else 0.0
         at_ends = (low + span - time[back] <= near) & (time[back + 1] - low <= near)
-        # a counter that starts from zero begins anew for a second run too, after any time
-        is_day = span != _DAY or time[0] - low > near
-        if back.size and at_ends.all() and is_day and time.max() <= low + span + near:
+        is_clock = span in spans or time[0] - low > near
+        if back.size and at_ends.all() and is_clock and time.max() <= low + span + near:
             turns = np.cumsum((steps < -0.5 * span).astype(np.int64) - (steps > span - near))
             return time + span * np.concatenate([[0], turns]), span
     return time, 0.0
@@ -149,81 +158,3 @@ def _continued(source: Path, time: Array, rows: Rows) -> tuple[Array, str]:
         f"{f', and again in {back.size - 1} other rows' if back.size > 1 else ''}. The rows from there on are read as "
         f"after a pause of {pause:.3g} s; if they are of another joint or setting, choose one part with --where"
     )
-
-
-def decoded(values: Array, code: str) -> Array:
-    """Return the numbers (n,) with their sign.
-
-    code: "wrap=65536" for two's complement of 16 bits, or an encoder that begins anew at 65536; "sign=1024" for a sign
-    bit of value 1024 above the magnitude; "none" for numbers with a sign. Raises WrongUse for any other code.
-    """
-    if code == "none":
-        return values
-    match = re.fullmatch(r"(wrap|sign)=(\d+\.?\d*)", code)
-    if match is None or not (size := float(match[2])) > 0.0:
-        raise WrongUse(
-            f"{code!r} is no code of numbers: write wrap=65536 for 16 bits in two's complement, sign=1024 for a sign "
-            "bit above 10 bits, or none"
-        )
-    if match[1] == "sign":
-        return np.where(values >= size, size - values, values)
-    return (values + 0.5 * size) % size - 0.5 * size
-
-
-def size_of(code: str) -> float:
-    """Return the number in a code, in the units of its column."""
-    return float(code.partition("=")[2])
-
-
-def recognised(torque: Array, dtheta: Array) -> tuple[str, str]:
-    """Return the codes of torque and deflection (n,), in the units of their columns; "none" for a column with its sign.
-
-    A code is recognised if the column has no negative number and is smoother when decoded, and if deflection and rate
-    then explain most of the torque that they do not explain without decoding.
-    """
-    good = np.isfinite(torque) & np.isfinite(dtheta)
-    pairs = list(product(["none", *_possible(torque[good])], ["none", *_possible(dtheta[good])]))
-    if len(pairs) == 1:
-        return pairs[0]
-    left = [_unexplained(decoded(torque[good], one), decoded(dtheta[good], other)) for one, other in pairs]
-    best = int(np.argmin(left))
-    return pairs[best] if left[best] < _EXPLAINED * left[0] else pairs[0]
-
-
-def _possible(values: Array) -> Iterator[str]:
-    """Yield the codes that make a column (n,), which has no negative number, smoother."""
-    if len(values) < 3 or values.min() < 0.0 or not (count := _count(values)):
-        return
-    top = float(values.max()) / count
-    if top < _LEAST:
-        return
-    bits = np.floor(np.log2(top))
-    for kind, size in (("wrap", 2.0 ** (bits + 1.0)), ("sign", 2.0**bits)):
-        code = f"{kind}={size * count:.10g}"
-        if _roughness(decoded(values, code)) < _SMOOTHER * _roughness(values):
-            yield code
-
-
-def _count(values: Array) -> float:
-    """Return the step of which all values (n,) are multiples; 0 if there is none."""
-    if not (values % 1.0).any():
-        return 1.0
-    levels = np.unique(values)
-    step = float(np.diff(levels).min())
-    for value in levels[levels > 0.0].tolist():
-        step = value / max(round(value / step), 1)
-    return step if np.abs(values / step - np.round(values / step)).max() < _ON_GRID else 0.0
-
-
-def _roughness(values: Array) -> float:
-    return float(np.abs(np.diff(values)).sum())
-
-
-def _unexplained(torque: Array, dtheta: Array) -> float:
-    """Return the fraction of the torque's variance that deflection and rate do not explain."""
-    torque, dtheta = torque[:_ROWS], dtheta[:_ROWS]
-    if np.ptp(torque) == 0.0:
-        return 1.0
-    columns = np.column_stack([np.ones_like(dtheta), dtheta, np.gradient(dtheta)])
-    rest = torque - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
-    return float(np.var(rest) / np.var(torque))

@@ -1,0 +1,1 @@
+"""Export of an identified hand into the model of a simulator."""
