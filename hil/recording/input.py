@@ -135,5 +135,6 @@ def _size(source: Path) -> int:
 
 
 def _reason(error: Exception) -> str:
-    first = (str(error).splitlines() or [""])[0][:_LONGEST]
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    first = (text.splitlines() or [""])[0][:_LONGEST]
     return first if first and not isinstance(error, KeyError | AssertionError) else "it cannot be parsed"

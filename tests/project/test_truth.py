@@ -117,11 +117,10 @@ def test_mujocos_joint_has_the_spring_damper_and_friction_of_the_case(study: Stu
     pytest.importorskip("mujoco", reason="MUJOCO AS A SOURCE NOT TESTED: mujoco is not installed")
     study.recordings.mujoco(study.cases.case_named("coulomb"), 0, tmp_path / "one.h5")
     with Recording(tmp_path / "one.h5") as recording:
-        time, angle, rate, torque = (
-            recording.channel(name) for name in ("read_time", "dtheta", "dtheta_dot", "torque")
-        )
-    assert np.abs(make_interp_spline(time, angle, k=5)(time, 1) - rate)[20:-20].max() < 1e-3 * np.abs(rate).max()
-    columns = np.stack([angle, rate, np.sign(rate)], axis=1)
+        time, angle, torque = (recording.channel(name) for name in ("read_time", "dtheta", "torque"))
+    rate = make_interp_spline(time, angle, k=5)(time, 1)
+    columns = np.stack([angle, rate, np.sign(rate)], axis=1)[20:-20]
+    torque = torque[20:-20]
     found = np.linalg.lstsq(columns, torque, rcond=None)[0]
     assert found == pytest.approx([KC, BC, 1e-3], rel=0.01)
     assert float(np.std(torque - columns @ found)) == pytest.approx(NOISE, rel=0.1)

@@ -134,7 +134,8 @@ def _records(file: BinaryIO, size: int) -> Iterator[bytes]:
 def _ends(source: Path) -> bool:
     with source.open("rb") as file:
         is_mcap = file.read(len(_MCAP)) == _MCAP
-        file.seek(-len(_MCAP), os.SEEK_END)
+        if is_mcap:
+            file.seek(-len(_MCAP), os.SEEK_END)
         return not is_mcap or file.read() == _MCAP
 
 

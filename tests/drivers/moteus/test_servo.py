@@ -118,18 +118,18 @@ def test_no_received_bytes_crash_the_decoder() -> None:
 @pytest.mark.study
 def test_position_mode_follows_its_set_point_and_rests_there(make_moteus: Make) -> None:
     rig = make_moteus()
-    rig.device.console.values["servo.pid_position.kp"] = 100.0
-    rig.device.console.values["servo.pid_position.kd"] = 0.3
+    rig.device.console.values["servo.pid_position.kp"] = 1000.0
+    rig.device.console.values["servo.pid_position.kd"] = 3.0
     servo = rig.open(mode="position", sign=-1)
     servo.arm(LIMITS)
     for _ in range(400):
         rig.wait(2e-3)
-        servo.exchange(Command(Quantity.POSITION, 0.3))
+        servo.exchange(Command(Quantity.POSITION, 0.15))
     for _ in range(20):
         rig.wait(2e-3)
         sample = servo.exchange(Command.rest())
-    assert sample.motor_position == pytest.approx(0.3, rel=0.05)
-    assert rig.device.motor.position == pytest.approx(-0.3, rel=0.05)
+    assert sample.motor_position == pytest.approx(0.15, rel=0.05)
+    assert rig.device.motor.position == pytest.approx(-0.15, rel=0.05)
     with pytest.raises(UnsafeCommand, match=r"moteus\.mode"):
         servo.exchange(torque(0.1))
 

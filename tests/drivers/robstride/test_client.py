@@ -62,7 +62,7 @@ def test_the_makers_client_identifies_the_motor_and_drives_it(bus: can.BusABC, m
             position, _, torque, temperature = client.read_operation_frame("joint")
             time.sleep(0.01)
         assert torque == pytest.approx(0.6, abs=2e-3)
-        assert position > 0.1
+        assert position == pytest.approx(0.6 / (0.4 * MODELS["rs01"].span[1]), rel=0.1)  # the default joint
         assert 15.0 < temperature < 40.0
     finally:
         client.disconnect()

@@ -212,10 +212,8 @@ def test_a_table_of_several_topics_is_read_where_a_row_has_a_reading(tmp_path: P
     with Recording(tmp_path / "a.h5") as recording:
         np.testing.assert_allclose(recording.channel("time"), TIME, atol=1e-6)
         np.testing.assert_array_equal(recording.channel("dtheta"), STATE[1])
-    with pytest.raises(WrongUse, match="no row has both torque and deflection"):
-        import_table(
-            tmp_path / "pj.csv", tmp_path / "a.h5", columns | {"torque": Column("/battery/v", "N*m")}, [], force=True
-        )
+    battery = columns | {"torque": Column("/battery/v", "N*m")}
+    assert "are read as those of one clock" in import_table(tmp_path / "pj.csv", tmp_path / "b.h5", battery, []).said
 
 
 def test_a_topic_of_another_table_is_refused(tmp_path: Path) -> None:
