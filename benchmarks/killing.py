@@ -10,9 +10,9 @@ drive's watchdog is left), or "two": a second recorder on the same drive is refu
 --python: it calls `hil.record`. The times are those of the drive's torque log (`hil emulate --log`), on the clock of
 whoever sends the signal. A stopped recorder is continued afterwards: no torque may come back. A run that ends by itself
 before its signal, as where this computer is too busy for it, is started again; with --patient late ticks end no run,
-and the torque-off is awaited for a minute. Prints a table for each drive, with and without its watchdog; ends with
-status 1 where less than 95 % are off within 50 ms, one is not within 150 ms, or torque came back. What a kill costs in
-rows is measured by benchmarks/row_loss.py.
+and the torque-off is awaited for a minute. Prints a table for each drive, with and without its watchdog; a hand's
+torque is off when that of all its axes is. Ends with status 1 where less than 95 % are off within 50 ms, one is not
+within 150 ms, or torque came back. What a kill costs in rows is measured by benchmarks/row_loss.py.
 """
 
 from __future__ import annotations
@@ -56,13 +56,16 @@ SLCAN = 'interface = "slcan"\nchannel = "{link}"\n'
 
 @dataclass(frozen=True, slots=True)
 class Adapter:
-    """A drive: the words of `hil emulate`, its table in the stand file, and its torque limit, N m."""
+    """A drive: the words of `hil emulate`, its table in the stand file, and its torque limit, N m.
+
+    joints: of a hand with as many of this drive on one line, of which the trials drive one after the other; 0: no hand.
+    """
 
     name: str
     emulate: tuple[str, ...]
     table: str
     torque: float
-    multicast: str = ""
+    joints: int = 0
 
     @property
     def backend(self) -> str:
@@ -74,6 +77,14 @@ def _can(name: str, words: tuple[str, ...], keys: str, torque: float) -> Adapter
 
 
 ADAPTERS = (
+    Adapter("hand of dynamixel X", ("dynamixel",), 'port = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.0\n', 0.03, 5),
+    Adapter(
+        "hand of feetech HLS",
+        ("feetech",),
+        'port = "{link}"\nmodel = "hls3606m"\ntorque_constant = 0.5\n',
+        0.2,
+        5,
+    ),
     Adapter("dynamixel X", ("dynamixel",), 'port = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.1\n', 0.03),
     Adapter(
         "dynamixel X, no watchdog", ("dynamixel",), 'port = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.0\n', 0.03
@@ -162,21 +173,19 @@ class Log:
         self._begin = path.read_bytes().rfind(b"\n") + 1 if path.exists() else 0
 
     def rows(self, since: float = -math.inf) -> list[tuple[float, float, bool]]:
-        """Return time, torque commanded and whether it is off, of the rows from `since` s on.
+        """Return time, torque commanded and whether it is off in all drives, of the rows from `since` s on.
 
         A commanded torque of zero alone is no end: a sine passes through it.
         """
         with self._path.open(encoding="ascii", newline="") as file:
             file.seek(self._begin)
             lines = [line for line in csv.DictReader(file, COLUMNS) if line["watchdog"] not in (None, COLUMNS[-1])]
-        rows = [
-            (
-                float(line["time_s"]),
-                float(line["commanded_Nm"]),
-                line["enabled"] == "0" or (line["watchdog"] == "tripped" and float(line["commanded_Nm"]) == 0.0),
-            )
-            for line in lines
-        ]
+        rows, is_off = [], dict[str, bool]()
+        for line in lines:
+            commanded = float(line["commanded_Nm"])
+            tripped = line["watchdog"] == "tripped" and commanded == 0.0
+            is_off[line["drive"]] = line["enabled"] == "0" or tripped
+            rows.append((float(line["time_s"]), commanded, all(is_off.values())))
         return [one for one in rows if one[0] >= since]
 
     def ended(self, since: float) -> tuple[float, bool]:
@@ -195,8 +204,9 @@ class Log:
 
 @contextmanager
 def emulated(adapter: Adapter, link: Path, log: Path) -> Iterator[None]:
-    """Run `hil emulate` of a drive as long as the `with` lasts."""
+    """Run `hil emulate` of a drive, or of a hand, as long as the `with` lasts."""
     place = [] if "--channel" in adapter.emulate else ["--link", str(link)]
+    place += ["--hand", str(log.parent / "stand.toml")] if adapter.joints else []
     words = [sys.executable, "-m", "hil", "emulate", *adapter.emulate, *place, "--log", str(log)]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -234,6 +244,8 @@ def recorded(
     program = f"{UNHURRIED if settings.patient else ''}{PYTHON if settings.python else CLI}"
     words = [sys.executable, "-c", program, "record", "--stand", str(stand), "-o", str(output), "--duration", "60"]
     words += ["--rate", str(settings.rate), *sine, *(["--no-guardian"] if settings.no_guardian else [])]
+    if adapter.joints:
+        words += ["--joint", f"joint-{1 + int(output.stem.removeprefix('run')) % adapter.joints}"]
     with output.with_suffix(".log").open("wb") as errors:
         nothing = subprocess.DEVNULL  # in a terminal `hil record` would ask
         return subprocess.Popen([*started_by(start), *words], stdin=nothing, stdout=nothing, stderr=errors)
@@ -322,6 +334,10 @@ def prepare(adapter: Adapter, folder: Path, link: Path) -> None:
 
         (folder / "flat_endpoints.json").write_text(json.dumps(flat_endpoints("0.6.10")))
     text = STAND.format(backend=adapter.backend, torque=adapter.torque) + adapter.table.format(link=link, folder=folder)
+    if adapter.joints:
+        text = f'[hand]\nbackend = "{adapter.backend}"\n' + text.replace(f'backend = "{adapter.backend}"\n', "")
+        joints = range(1, adapter.joints + 1)
+        text += "".join(f'[[joint]]\nname = "joint-{one}"\n[joint.{adapter.backend}]\nid = {one}\n' for one in joints)
     (folder / "stand.toml").write_text(text)
 
 
