@@ -255,6 +255,20 @@ def test_the_demo_runs_the_main_job_and_says_where_the_files_are(
     assert re.search(r"^true Bc of the simulated joint: 0\.19 mN m s/rad; the interval, .*, holds it$", ended.out, re.M)
 
 
+@pytest.mark.study
+def test_the_demo_of_a_hand_compares_each_joint_with_its_truth_and_resumes(hil: Hil, tmp_path: Path) -> None:
+    first = hil("demo", "--hand")
+    assert first.status == 0
+    assert re.findall(r"^true (\w+ of \w+): .*, holds it$", first.out, re.M) == [
+        f"{name} of {joint}" for joint in ("index_mcp", "index_pip", "thumb_mcp") for name in ("Kc", "Bc")
+    ]
+    kept = sorted((tmp_path / "hil-demo/hand").glob("*.h5"))
+    assert len(kept) == 3
+    before = [path.stat().st_mtime_ns for path in kept]
+    assert hil("demo", "--hand").status == 0
+    assert [path.stat().st_mtime_ns for path in kept] == before
+
+
 def test_a_result_that_leaves_the_expected_band_ends_in_status_one_with_the_reason(
     hil: Hil, make_recording: Maker
 ) -> None:
