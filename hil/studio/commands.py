@@ -56,10 +56,15 @@ def options(wanted: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     return [f"--{name}={text}" for name in names if (text := text_of(wanted, name))]
 
 
-def stand_of(wanted: Mapping[str, Any], folder: Folder) -> str:
-    """Return the stand file that the page names, "sim" for the simulated stand. Raises WrongUse."""
+def stand_of(wanted: Mapping[str, Any], folder: Folder) -> tuple[str, str]:
+    """Return the stand file that the page names, "sim" for the simulated stand, and the joint of a hand's file, "" of
+    any other. Raises WrongUse.
+    """
     name = text_of(wanted, "stand")
-    return name if name == "sim" else str(folder.inside(name))
+    if name == "sim":
+        return name, ""
+    path, joint = folder.stand(name)
+    return str(path), joint
 
 
 def _argument(path: Path | str) -> str:
@@ -67,15 +72,15 @@ def _argument(path: Path | str) -> str:
 
 
 def _readings(wanted: Mapping[str, Any], folder: Folder) -> Line:
-    return Line("readings", [stand_of(wanted, folder)], module="hil.studio.readings")
+    return Line("readings", [*stand_of(wanted, folder)], module="hil.studio.readings")
 
 
 def _doctor(wanted: Mapping[str, Any], folder: Folder) -> Line:
-    stand = stand_of(wanted, folder)
+    stand, joint = stand_of(wanted, folder)
     if stand == "sim":
         return Line("doctor", ["doctor", "--json"])
     more = [f"--{name}" for name in ("commission", "move", "yes") if wanted.get(name) is True]
-    return Line("doctor", ["doctor", _argument(stand), "--json", *more], moves=True)
+    return Line("doctor", ["doctor", _argument(stand), *_joint(joint), "--json", *more], moves=True)
 
 
 def _stand(wanted: Mapping[str, Any], _folder: Folder) -> Line:
@@ -88,8 +93,12 @@ def _stand(wanted: Mapping[str, Any], _folder: Folder) -> Line:
 
 
 def _excited(wanted: Mapping[str, Any], folder: Folder) -> list[str]:
-    stand = stand_of(wanted, folder)
-    return ["--backend=sim" if stand == "sim" else f"--stand={stand}", *options(wanted, SIZES)]
+    stand, joint = stand_of(wanted, folder)
+    return ["--backend=sim" if stand == "sim" else f"--stand={stand}", *_joint(joint), *options(wanted, SIZES)]
+
+
+def _joint(name: str) -> list[str]:
+    return [f"--joint={name}"] if name else []
 
 
 def _design(wanted: Mapping[str, Any], folder: Folder) -> Line:

@@ -16,20 +16,23 @@ import numpy as np
 
 from hil.acquisition.commissioning import NOTHING_TURNS, announcement
 from hil.errors import WrongUse
-from hil.recording.input import open_input
+from hil.hand.file import is_hand
+from hil.hand.file import load as load_hand
+from hil.recording.input import open_input, read_text
 from hil.recording.output import next_free
 from hil.recording.posix import in_child
 from hil.recording.reader import Recording
 from hil.report.pictures.thinning import trace_rows
 from hil.stand.devices import check_backend
 from hil.stand.draft import Draft
-from hil.stand.file import SIMULATED, Stand, load, parse
+from hil.stand.file import LARGEST, SIMULATED, Stand, load, parse
 
 _HEAD: Final = 4096  # bytes of a report that hold its title
 _TITLE: Final = re.compile(r"<title>[^<]*?: ([^<]*)</title>")
 _STANDS: Final = 50  # files that are read
 _PAGE: Final = 50  # recordings in one answer
 _SUFFIXES: Final = (".h5", ".hdf5", ".part")
+_JOINT: Final = "#"  # between the name of a hand's file and that of a joint
 _TRACE_TIME, _TRACE_MEMORY = 10, 1 << 28  # s of processor time and bytes in which a recording is drawn
 
 
@@ -60,15 +63,23 @@ class Folder:
             return bool(self.inside(name))
         return False
 
+    def stand(self, name: str) -> tuple[Path, str]:
+        """Return the stand file and the joint, "" for the only one, of an entry of `stands`. Raises WrongUse."""
+        file, _, joint = name.rpartition(_JOINT)
+        return (self.inside(file), joint) if file and not self._has(name) else (self.inside(name), "")
+
     def stands(self) -> list[dict[str, Any]]:
-        """Return the stands of the folder, each with its limits or with what is wrong with its file."""
+        """Return the stands of the folder, of a hand's file one for each joint, each with its limits or with what is
+        wrong with its file.
+        """
         found = [_described("sim", parse(SIMULATED))]
         for name in sorted(name for _, name in self._files("", (".toml",)))[:_STANDS]:
             path = self.place / name
             try:
-                found.append(_described(name, load(path)))
+                of_a_hand = is_hand(read_text(path, largest=LARGEST))
+                found += _joints(name, path) if of_a_hand else [_described(name, load(path))]
             except (WrongUse, OSError, ValueError) as error:
-                if b"[stand]" in beginning(path):
+                if any(table in beginning(path) for table in (b"[stand]", b"[hand]")):
                     found.append({"file": name, "name": name, "wrong": str(error)})
         return found
 
@@ -109,6 +120,16 @@ class Folder:
         title = _title(page)
         report = page.relative_to(self.place).as_posix() if title else ""
         return {"file": name, "changed": changed, "report": report, "answer": title}
+
+
+def _joints(file: str, path: Path) -> list[dict[str, Any]]:
+    """Return the stand of each joint of a hand's file, each with the entry of the joint that follows."""
+    hand = load_hand(path)
+    entries = [f"{file}{_JOINT}{joint.name}" for joint in hand.joints]
+    return [
+        _described(entry, joint.stand) | {"name": f"{hand.name}: {joint.name}", "next": following}
+        for entry, joint, following in zip(entries, hand.joints, [*entries[1:], ""], strict=True)
+    ]
 
 
 def _described(file: str, stand: Stand) -> dict[str, Any]:

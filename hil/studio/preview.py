@@ -28,15 +28,16 @@ _POINTS: Final = 8_000  # of a set-point that is shown without one
 _DIMENSIONS: Final = {"duration": "time", "rate": "frequency", "kc": "stiffness", "bc": "damping"}
 
 
-def preview(stand: str, fields: Mapping[str, str]) -> dict[str, Any]:
-    """Return the preview of a run, SI. stand: a stand file or "sim". fields: the excitation, and rough "kc" and "bc".
+def preview(stand: str, fields: Mapping[str, str], joint: str | None = None) -> dict[str, Any]:
+    """Return the preview of a run, SI. stand: a stand file or "sim"; joint: of a hand's file. fields: the excitation,
+    and rough "kc" and "bc".
 
     curves: lists by name: time, command and, with a prediction, torque and dtheta. limits: by name, the peak, the
     limit, its unit, and peak divided by limit. errors: relative standard errors of Kc and Bc, None if they are not
     identifiable. said: the reason if there is no prediction. Raises WrongUse for an excitation that `hil record` would
     refuse.
     """
-    opened, mode = opened_stand(stand), quantity_of(fields.get("mode", "torque"))
+    opened, mode = opened_stand(stand, joint), quantity_of(fields.get("mode", "torque"))
     units = _DIMENSIONS | {"amplitude": "torque" if mode == "torque" else "angle"}
     given = {name: _number(name, fields[name], unit) for name, unit in units.items() if name in fields}
     low, _, high = fields.get("band", "").partition(":")
@@ -81,7 +82,7 @@ def _number(name: str, text: str, dimension: str) -> float:
 
 if __name__ == "__main__":
     try:
-        answer = preview(sys.argv[1], json.loads(sys.argv[2]))
+        answer = preview(sys.argv[1], json.loads(sys.argv[3]), sys.argv[2] or None)
     except WrongUse as refused:
         answer = {"refused": str(refused)}
     sys.stdout.write(json.dumps(answer, allow_nan=False))

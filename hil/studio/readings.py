@@ -58,6 +58,6 @@ def _show(reading: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     try:
-        read(opened_stand(sys.argv[1]), _show)
+        read(opened_stand(sys.argv[1], sys.argv[2] or None), _show)
     except (WrongUse, DriverError) as error:
         sys.stderr.write(f"{error}\n")

@@ -154,7 +154,7 @@ class _Studio:
         if running is not None and running.line.moves:
             raise WrongUse("the motor moves: nothing is predicted meanwhile")
         fields = {name: text for name in (*SIZES, *ROUGH) if (text := text_of(given, name))}
-        words = command("hil.studio.preview", stand_of(given, self._folder), json.dumps(fields))
+        words = command("hil.studio.preview", *stand_of(given, self._folder), json.dumps(fields))
         self._give_up_preview()
         process = subprocess.Popen(words, cwd=self._folder.place, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)  # noqa: S603 - our own module
         self._predicting = process

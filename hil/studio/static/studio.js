@@ -210,7 +210,7 @@
 
   function showRun() {
     const { live } = job;
-    at("to-identify").hidden = true;
+    at("after").hidden = true;
     at("predicted").textContent = "";
     if (!live) return;
     const [kc, bc] = live.estimate || [null, null], rate = `${live.rate === null ? "\u2013" : live.rate.toFixed(0)} of ${live.planned.toFixed(0)} Hz`;
@@ -242,8 +242,9 @@
     if (job.kind === "record") { trying(refresh); idleLimits(); }
     if (job.kind === "record" && job.answer && job.answer.recording) {
       output = job.answer.recording;
-      at("to-identify").hidden = false;
+      at("after").hidden = false;
       at("predicted").textContent = `${output}: ${job.answer.samples} samples, ${job.answer.lost} lost, ${job.answer.late} late (${job.answer.end_reason})`;
+      Object.assign(at("to-next"), { hidden: !stand().next, textContent: `Next joint: ${(stand().next || "").split("#").pop()}` });
       if (step === "record") at("to-identify").focus();
     }
     if (job.kind === "stand" && job.status === 0) trying(refresh).then(() => { chooseStand(job.output); showStands(); at("new").open = false; });
@@ -273,7 +274,7 @@
     at("explained").textContent = table.profiles[form.elements.profile.value] || "";
     if (moving()) return Promise.resolve(null);
     showsRun = false;
-    at("to-identify").hidden = true;
+    at("after").hidden = true;
     at("predicted").textContent = "predicting ...";
     at("predicted").className = "";
     const mine = predicting = new Promise((done) => { timer = setTimeout(done, wait); })
@@ -405,7 +406,7 @@
   const clicks = {
     start, move, write: writeStand, "to-record": () => go("record"), no: () => at("question").close(),
     yes: () => { at("question").close(); agree(); },
-    check: () => begin(wanted.stand()),
+    check: () => begin(wanted.stand()), "to-next": () => { chooseStand(stand().next); showStands(); go("record"); },
     readings: () => begin({ kind: "readings", stand: stand().file }),
     design: () => begin({ ...wanted.record(), kind: "design" }),
     commission: () => begin({ kind: "doctor", stand: stand().file, commission: true }),

@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hil.api.recordings import load
 from hil.studio.growing import Growing
 
 from ...late_ticks import ALLOW
+from ..hand.conftest import SIMULATED_HAND
 
 if TYPE_CHECKING:
     from playwright.sync_api import FrameLocator, Locator, Page
@@ -213,6 +215,25 @@ def barriers(page: Page) -> list[Any]:
     rules = "axe.run(document, { iframes: false })"  # of the report has a test of its own
     found = page.evaluate(f"{rules}.then((all) => all.violations.map((one) => [one.id, one.nodes[0].html]))")
     return list(found)
+
+
+def test_the_joints_of_a_hand_are_recorded_one_after_the_other(opened: Opened, tmp_path: Path) -> None:
+    (tmp_path / "hand.toml").write_text(SIMULATED_HAND)
+    with studio(tmp_path) as (link, _):
+        page = opened(link)
+        page.check("input[value='hand.toml#soft']")
+        page.click("#to-record")
+        for joint in ("soft", "stiff"):
+            page.locator("#chosen", has_text=f"bench hand: {joint}").wait_for()
+            page.fill("[name=duration]", "5")
+            page.locator("#predicted", has_text="predicted standard errors").wait_for()
+            page.click("#start")
+            shown(page, page.locator("#to-identify"))
+            assert page.is_visible("#to-next") == (joint == "soft")
+            if joint == "soft":
+                assert barriers(page) == []
+                page.click("#to-next")
+    assert [load(tmp_path / f"recordings/run{number}.h5").truth["Kc"] for number in (1, 2)] == [0.015, 0.03]
 
 
 def test_from_an_empty_folder_to_a_report_in_three_clicks(opened: Opened, tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ from hil.studio.jobs import Jobs
 from hil.studio.server import _text, app, bind
 
 from ..conftest import Maker, copied, exit_status
+from ..hand.conftest import SIMULATED_HAND
 
 PORT = 8455
 PAGE = {"origin": f"http://127.0.0.1:{PORT}", "sec-fetch-site": "same-origin"}
@@ -270,6 +271,20 @@ def test_no_text_of_the_page_becomes_an_option_of_a_command(make_recording: Make
     assert not {"--no-guardian", "--force", "-f.toml"} & set(words)
     assert "--yes" not in line_of(wanted, folder).words
     assert "./--force.h5" in line_of({"kind": "identify", "recordings": ["--force.h5"]}, folder).words
+
+
+def test_each_joint_of_a_hand_is_a_stand_and_names_the_joint_that_follows(page: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "hand.toml").write_text(SIMULATED_HAND)
+    (tmp_path / "wrong.toml").write_text(SIMULATED_HAND.replace("deflection = 1.0", "deflection = -1.0"))
+    _, soft, stiff, wrong = page.get("/api/folder").json()["stands"]
+    assert (soft["name"], soft["next"]) == ("bench hand: soft", stiff["file"])
+    assert (stiff["name"], stiff["next"]) == ("bench hand: stiff", "")
+    assert "deflection" in wrong["wrong"]
+    for kind, place in (("record", "--stand=hand.toml"), ("doctor", "hand.toml"), ("design", "--stand=hand.toml")):
+        words = line_of({"kind": kind, "stand": stiff["file"]}, Folder(tmp_path)).words
+        assert {place, "--joint=stiff"} <= set(words)
+    assert page.post("/api/preview", json={"stand": stiff["file"]}).json()["limits"]["torque"]["limit"] == 0.03
+    assert "unknown joint 'soff'" in page.post("/api/preview", json={"stand": "hand.toml#soff"}).json()["refused"]
 
 
 def test_a_report_that_hil_did_not_write_is_not_replaced(make_recording: Maker, tmp_path: Path) -> None:
