@@ -1,17 +1,21 @@
-"""A simulated hand of 17 motors, and a finger of 3 joints with 4 motors over 20 seeds, against their truths.
+"""A simulated hand of 17 motors, an emulated one of 5, and a finger of 3 joints with 4 motors over 20 seeds, against
+their truths.
 
-    python benchmarks/hand.py [--only hand|finger] [--seeds 20] [--workers 2]
+    python benchmarks/hand.py [--only hand emulated finger] [--seeds 20] [--workers 2]
 
 Each motor has its own cable and friction; the hand has two recordings of 20 s of each, a seed of the finger one of
 10 s. A campaign records and identifies both. An entry counts as held if its 95 % interval has the truth; a value is
 confidently wrong if it is trusted, its interval has not the truth, and it is off by more than 10 %. Rows of the finger:
 with its true routing, with turns that are off by their stated uncertainty of 3 %, and with a torque scale that is off
-by its stated 2 % too, ten draws a seed of each. Writes results/hand.csv.
+by its stated 2 % too, ten draws a seed of each. The emulated hand is served by `hil emulate dynamixel --hand` on one
+port and recorded in real time by `hil hand`, beside one busy loop. Writes results/hand.csv.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from page import machine, write_result
 
+from hil.api.hand import load_hand
 from hil.campaign.conduct import Desk, identify_all, record_all
 from hil.campaign.fingers import motors
 from hil.campaign.journal import Journal
@@ -152,25 +157,63 @@ def fingers_of_seeds(folder: Path, workers: int, seeds: int) -> list[str]:
     return lines
 
 
+def emulated_hand(folder: Path, workers: int) -> list[str]:
+    path, link = folder / "emulated" / "hand.toml", folder / "ttyHAND"
+    path.parent.mkdir()
+    truth = written(path, NAMES[:5], np.random.default_rng(5), repeats=1, duration=20.0)
+    text = path.read_text().replace('backend = "sim"', 'backend = "dynamixel"').replace('torque_source = "joint"\n', "")
+    text = text.replace("gear_ratio = 4.0", "motor_inertia = 3.2e-6\nmotor_damping = 1.6e-6")
+    text = text.replace("velocity = 100.0", "velocity = 60.0\ntemperature = 65.0")
+    text = text.replace("[sim.fixture]", f'[dynamixel]\nport = "{link}"\nmodel = "xl330-m288"\n[sim.fixture]')
+    for number, name in enumerate(truth, 1):
+        text = text.replace(f'name = "{name}"\n', f'name = "{name}"\ndynamixel.id = {number}\n')
+    path.write_text(text)
+    hil = [sys.executable, "-m", "hil"]
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    words = [*hil, "emulate", "dynamixel", "--hand", str(path), "--link", str(link)]
+    served = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    try:
+        assert served.stderr is not None
+        served.stderr.readline()
+        ended = subprocess.run([*hil, "hand", str(path), "--yes", "--workers", str(workers)], check=False)
+    finally:
+        busy.kill()
+        served.kill()
+    print(f"hil hand ended with status {ended.returncode}")
+    lines = ["| joint | Kc true, mN m/rad | Kc, mN m/rad | error % | held by the interval |", "| --- " * 5 + "|"]
+    for motor in load_hand(path.parent / "hand").motors:
+        true, value = truth[motor.name][0], motor.stiffness
+        if value is None:
+            lines.append(f"| {motor.name} | {1e3 * true:.2f} | not trusted | | |")
+            continue
+        low, high = value.ci95(motor.torque_uncertainty)
+        error = 100.0 * (value.value / true - 1.0)
+        inside = "yes" if low <= true <= high else "no"
+        lines.append(f"| {motor.name} | {1e3 * true:.2f} | {1e3 * value.value:.2f} | {error:.2f} | {inside} |")
+    return lines
+
+
+STUDIES = {
+    "hand": ("A simulated hand, two recordings of 20 s of each joint.", whole_hand),
+    "emulated": ("An emulated hand of 5 servos on one port, a recording of 20 s of each.", emulated_hand),
+    "finger": ("A simulated finger.", fingers_of_seeds),
+}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=("hand", "finger"))
+    parser.add_argument("--only", nargs="*", choices=STUDIES, default=[*STUDIES])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     text = [f"python benchmarks/hand.py --seeds {options.seeds}; {machine()}"]
     with tempfile.TemporaryDirectory() as folder:
-        if options.only != "finger":
-            text += [
-                "",
-                "A simulated hand, two recordings of 20 s of each joint.",
-                *whole_hand(Path(folder), options.workers),
-            ]
-        if options.only != "hand":
-            text += ["", f"A simulated finger, {options.seeds} seeds."]
-            text += fingers_of_seeds(Path(folder), options.workers, options.seeds)
+        for name in options.only:
+            title, study = STUDIES[name]
+            further = {"seeds": options.seeds} if name == "finger" else {}
+            text += ["", title, *study(Path(folder), options.workers, **further)]
     print("\n".join(text))
-    if options.only is None:
+    if options.only == [*STUDIES]:
         write_result("hand", "\n".join(text))
 
 
