@@ -8,10 +8,10 @@ import contextlib
 from typing import TYPE_CHECKING, get_args
 
 from drivers.dynamixel.config import Baudrate
-from drivers.dynamixel.models import models, name_of, torque_enable
+from drivers.dynamixel.models import is_known, models, name_of, torque_enable
 from drivers.dynamixel.wire import Wire2, wire_1
 from drivers.packets.neighbours import holding, others
-from drivers.packets.scan import search_every_rate
+from drivers.packets.scan import UNKNOWN, FoundServo, Kind, scan_every_rate
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 RETURN_DELAY_LSB = 2e-6
 """s in one count of Return Delay Time."""
+RATES = get_args(Baudrate)
+"""The baud rates that a scan tries, bit/s."""
 
 
 def identify(bus: Bus, table: ControlTable, config: DynamixelConfig, series: Series) -> str:
@@ -135,12 +137,27 @@ def neighbours(bus: Bus, ident: int, series: Series) -> list[Neighbour]:
     return found
 
 
+def scan(path: str, clock: Clock | None = None, port: SerialPort | None = None) -> list[FoundServo]:
+    """Return every servo that replies at any baud rate on the port `path`. See `scan_every_rate`."""
+    return scan_every_rate(path, RATES, (Wire2(), wire_1()), recognise=_recognise, clock=clock, port=port)
+
+
 def search(config: DynamixelConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo that replies at any baud rate on the port. Only pings are sent. Each baud rate
-    takes 2 s.
+    """Return a sentence for every servo that `scan` finds."""
+    return [str(servo) for servo in scan(config.port, clock, port)]
+
+
+def _recognise(bus: Bus, ident: int, number: int) -> Kind:
+    """Return what a servo is. On protocol 1.0 it must be a known model whose ID(3) is `ident`: another family has other
+    registers there.
     """
-
-    def name(_line: SerialPort, _ident: int, number: int) -> str:
-        return f"a {name_of(number)}" if number else "a servo on protocol 1.0"
-
-    return search_every_rate(config.port, get_args(Baudrate), (Wire2(), wire_1()), name=name, clock=clock, port=port)
+    if number:
+        firmware = bus.ping(3)[2]
+    else:
+        low, high, firmware, own = bus.read(0, 4)
+        number = low + 256 * high
+        if own != ident or not is_known(number):
+            return UNKNOWN
+    name = name_of(number)
+    words = name if is_known(number) else f"servo {name} (model number {number})"
+    return Kind(words, name if name in models() else "", str(firmware))

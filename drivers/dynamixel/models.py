@@ -92,9 +92,18 @@ def no_current(name: str) -> str:
 
 def name_of(number: int) -> str:
     """Return the name of the model `number`."""
-    known = {model.number: name for name, model in models().items()}
-    known |= {refused: name for name, refused in table("dynamixel")["refused"].items()}
-    return known.get(number, "of a kind not known here")
+    return _names().get(number, "of a kind not known here")
+
+
+def is_known(number: int) -> bool:
+    """Return whether `number` is that of a known model, also of one that hil does not drive."""
+    return number in _names()
+
+
+@cache
+def _names() -> dict[int, str]:
+    refused: dict[str, int] = table("dynamixel")["refused"]
+    return {model.number: name for name, model in models().items()} | {number: name for name, number in refused.items()}
 
 
 def torque_enable(number: int) -> int | None:

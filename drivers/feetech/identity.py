@@ -6,14 +6,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, get_args
 
-from drivers.clock import MonotonicClock
 from drivers.feetech.block import START
 from drivers.feetech.config import Baudrate, FeetechConfig
 from drivers.feetech.faults import ALERTS
 from drivers.feetech.models import models, name_of, registers
-from drivers.packets.bus import Bus
 from drivers.packets.neighbours import holding, others
-from drivers.packets.scan import search_every_rate
+from drivers.packets.scan import UNKNOWN, FoundServo, Kind, scan_every_rate
 from drivers.packets.wire import BROADCAST, Wire1
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DriverError, NoReply
@@ -21,11 +19,13 @@ from drivers.servo import BadReply, DriverError, NoReply
 if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.neighbours import Neighbour
+    from drivers.packets.bus import Bus
     from drivers.packets.port import SerialPort
 
 _MEMORY = 71
 _LINE = 16
-_PATIENCE = 0.02  # s
+RATES = get_args(Baudrate)
+"""The baud rates that a scan tries, bit/s."""
 _TORQUE_ENABLE = 40  # in every family: table.toml
 
 
@@ -92,25 +92,31 @@ def neighbours(bus: Bus, ident: int) -> list[Neighbour]:
     found: list[Neighbour] = []
     for other, _ in others(ident, lambda: bus.ping_each(range(BROADCAST))):
         beside = bus.beside(other)
-        found += holding(beside, other, _kind(beside), _TORQUE_ENABLE)
+        found += holding(beside, other, _kind(beside, other), _TORQUE_ENABLE)
     return found
 
 
+def scan(path: str, clock: Clock | None = None, port: SerialPort | None = None) -> list[FoundServo]:
+    """Return every servo that replies at any baud rate on the port `path`. See `scan_every_rate`."""
+    return scan_every_rate(path, RATES, (Wire1(ALERTS),), recognise=_recognise, clock=clock, port=port)
+
+
 def search(config: FeetechConfig, clock: Clock | None = None, port: SerialPort | None = None) -> list[str]:
-    """Return a sentence for every servo that replies at any baud rate on the port. Nothing is written. Each baud rate
-    takes 1 s.
-    """
-    clock = clock or MonotonicClock()
-
-    def name(line: SerialPort, ident: int, _number: int) -> str:
-        return f"a {_kind(Bus(line, ident, clock, _PATIENCE, Wire1(ALERTS)))}"
-
-    return search_every_rate(config.port, get_args(Baudrate), (Wire1(ALERTS),), name=name, clock=clock, port=port)
+    """Return a sentence for every servo that `scan` finds."""
+    return [str(servo) for servo in scan(config.port, clock, port)]
 
 
-def _kind(bus: Bus) -> str:
+def _recognise(bus: Bus, ident: int, _number: int = 0) -> Kind:
+    """Return what a servo is. Its ID(5) must be `ident`: another family has other registers there."""
+    first, second, _, main, sub, own = bus.read(0, 6)
+    if own != ident:
+        return UNKNOWN
+    name, firmware = name_of((main, sub)), f"{first}.{second}"
+    return Kind(name or f"servo of a kind not known here (version {main}.{sub})", name, firmware)
+
+
+def _kind(bus: Bus, ident: int) -> str:
     try:
-        head = bus.read(0, 5)
+        return _recognise(bus, ident).words
     except DriverError:
         return "servo of a kind that it does not tell"
-    return name_of((head[3], head[4])) or f"servo of a kind not known here (version {head[3]}.{head[4]})"

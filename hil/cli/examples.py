@@ -40,7 +40,7 @@ EXAMPLES = MappingProxyType(
         "design": ("hil design --stand stand.toml --kc 0.02 --bc 2e-4 --duration 30",),
         "emulate": ("hil emulate dynamixel --link ./ttyDXL --log torque.csv",),
         "doctor": ("hil doctor", "hil doctor stand.toml --move"),
-        "stand new": ("hil stand new -o stand.toml", "hil stand new --yes --backend sim -o stand.toml"),
+        "stand new": ("hil stand new -o stand.toml", "hil stand new --scan /dev/ttyUSB0 -o hand.toml"),
         "stand schema": ("hil stand schema",),
         "calibrate torque": ("hil calibrate torque stand.toml --arm 50mm",),
         "calibrate fixture": ("hil calibrate fixture stand.toml --profile chirp --band 0.5:20",),

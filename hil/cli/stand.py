@@ -22,7 +22,14 @@ stand = typer.Typer(help="Write a stand file, or its schema for an editor.", no_
 
 @stand.command(epilog=below_help("stand new"))
 def new(
-    output: Annotated[Path, typer.Option("-o", "--output", help="The file to write.")] = Path("stand.toml"),
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="The file to write [default: stand.toml, with --scan hand.toml]."),
+    ] = None,
+    scan: Annotated[
+        str | None,
+        typer.Option(metavar="PORT", help="Write the file of a hand from the servos that answer on this port."),
+    ] = None,
     backend: Annotated[str | None, typer.Option(help="The drive; see hil record --list-backends.")] = None,
     sensor: Annotated[str | None, typer.Option(help="The kind of a joint sensor on its own link.")] = None,
     answer: Annotated[
@@ -32,13 +39,22 @@ def new(
     yes: Annotated[bool, typer.Option("--yes", help="Ask nothing: use the defaults.")] = False,
     force: options.Force = False,
 ) -> None:
-    """Ask for the data of a stand and write a commented stand.toml."""
+    """Ask for the data of a stand and write a commented stand.toml; or, with --scan, find servos and write a hand.toml.
+
+    --scan only reads: nothing moves and no torque is switched on.
+    """
     from hil.recording.output import atomic_write, check_output
     from hil.stand.devices import BACKENDS, SENSORS, check_backend, check_sensor
     from hil.stand.draft import Draft
     from hil.stand.file import checked, parse
 
+    output = output or Path("stand.toml" if scan is None else "hand.toml")
     check_output(output, force=force)
+    if scan is not None:
+        if backend is not None:
+            raise WrongUse(f"--backend {backend}: --scan finds out which drives there are; omit one of the two")
+        _write_hand(scan, output, None if sensor is None else check_sensor(sensor), answer or [], force=force)
+        return
     if backend is None:
         backend = "sim" if yes else typer.prompt(f"Which drive ({', '.join(BACKENDS)})", default="dynamixel", err=True)
     check_backend(backend)  # before any other question
@@ -59,6 +75,29 @@ def new(
     with atomic_write(output, force=force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     note(f"wrote {output}; look at the drive with: hil doctor {quoted(output)}")
+
+
+def _write_hand(port: str, output: Path, sensor: str | None, answers: list[str], *, force: bool) -> None:
+    """Write the file of a hand from the servos on a port, and say what must still be edited."""
+    from hil.hand.draft import found_on, hand_text
+    from hil.hand.file import parse
+    from hil.recording.output import atomic_write
+    from hil.stand.draft import Draft
+
+    note(f"looking for servos on {port} at every baud rate: half a minute")
+    found = found_on(port)
+    text = hand_text(found, _given(Draft(found.backend, sensor), answers), sensor)
+    with atomic_write(output, force=force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    for sentence in found.others:
+        say(f"not in {output}: {sentence}")
+    count = len(found.servos)
+    note(f"wrote {output} with {count} joint{'s' if count > 1 else ''}: {', '.join(found.models)}")
+    try:
+        parse(text, str(output))
+    except WrongUse as error:
+        say(f"before anything is driven, correct this: {error}")
+    note(f"name the joints, correct the limits, and look at them with: hil doctor {quoted(output)}")
 
 
 @stand.command(epilog=below_help("stand schema"))

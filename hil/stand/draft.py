@@ -7,7 +7,7 @@ import json
 import re
 import textwrap
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,23 +129,31 @@ class Draft:
         answers: values by key. A key without an answer gets its default; a default of the device is written as a
         comment.
         """
-        lines = [
+        head = [
             "# hil doctor checks it. For completion in an editor: hil stand schema > stand.schema.json",
             "#:schema ./stand.schema.json",
-            "",
-            "[stand]",
-            f"backend = {_toml(self.backend)}",
-            *_lines(_STAND, answers),
-            *_lines([_ACCEPTED], answers, optional=True),
         ]
-        mine = list(self._device_questions())
+        return "\n".join([*head, *self.tables(answers)]) + "\n"
+
+    def tables(self, answers: Mapping[str, Any], without: Collection[str] = ()) -> list[str]:
+        """Return the lines of all tables, as `text` has them. without: keys that are left out."""
+        lines = ["", "[stand]"]
+        if "stand.backend" not in without:
+            lines.append(f"backend = {toml(self.backend)}")
+        lines += _lines([one for one in _STAND if one.key not in without], answers)
+        lines += _lines([_ACCEPTED], answers, optional=True)
+        mine = [one for one in self._device_questions() if one.key not in without]
         for table in dict.fromkeys(question.table for question in mine):
             lines += ["", f"[{table}]"]
             if table == "joint_sensor":
-                lines.append(f"kind = {_toml(self.sensor)}")
+                lines.append(f"kind = {toml(self.sensor)}")
             lines += _lines([q for q in mine if q.table == table], answers, optional=True)
-        lines += ["", "[limits]" + " " * 22 + "# at the joint; no option can raise them", *_lines(_LIMITS, answers)]
-        return "\n".join(lines) + "\n"
+        return [
+            *lines,
+            "",
+            "[limits]" + " " * 22 + "# at the joint; no option can raise them",
+            *_lines(_LIMITS, answers),
+        ]
 
     def _by_key(self) -> dict[str, Question]:
         return {question.key: question for question in (*_STAND, _ACCEPTED, *_LIMITS, *self._device_questions())}
@@ -194,16 +202,17 @@ def _lines(
     """
     for question in questions:
         if question.key in answers:
-            yield from _commented(f"{question.name} = {_toml(answers[question.key])}", question.meaning)
+            yield from commented(f"{question.name} = {toml(answers[question.key])}", question.meaning)
         elif not optional:
-            yield from _commented(f"{question.name} = {_toml(question.default)}", question.meaning)
+            yield from commented(f"{question.name} = {toml(question.default)}", question.meaning)
         elif question.default is not None:
             (default,) = question.default
-            shown = "..." if default is None else _toml(default)
-            yield from _commented(f"# {question.name} = {shown}", question.meaning)
+            shown = "..." if default is None else toml(default)
+            yield from commented(f"# {question.name} = {shown}", question.meaning)
 
 
-def _commented(line: str, meaning: str) -> Iterator[str]:
+def commented(line: str, meaning: str) -> Iterator[str]:
+    """Yield a line of TOML, followed by its meaning as a comment."""
     if not meaning:
         yield line
         return
@@ -213,11 +222,12 @@ def _commented(line: str, meaning: str) -> Iterator[str]:
         yield f"{'':<30}# {more}"
 
 
-def _toml(value: Any) -> str:
+def toml(value: Any) -> str:
+    """Return a value as TOML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
+        return "[" + ", ".join(toml(item) for item in value) + "]"
     return json.dumps(str(value), ensure_ascii=False)

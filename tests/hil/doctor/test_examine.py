@@ -262,6 +262,7 @@ def test_the_command_names_the_settings_at_which_a_servo_answers(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.packets.bus._ROLL_CALL", 0.1)
+    monkeypatch.setattr("drivers.dynamixel.identity.RATES", (1_000_000, 57_600))
     stand = tmp_path / "stand.toml"
     link = tmp_path / "ttyDXL"
     stand.write_text(STAND.format(port=link))
