@@ -3,21 +3,36 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
+import time
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from drivers.servo import Quantity
+from drivers.servo import DriverError, Quantity
 from hil.cli import options
-from hil.cli.terminal import STAND_FAILED, UNTRUSTWORTHY, ask_to_go_on, asking, out, print_json, say
-from hil.errors import WrongUse
+from hil.cli.terminal import (
+    DONE,
+    STAND_FAILED,
+    UNTRUSTWORTHY,
+    WRONG_USE,
+    ask_to_go_on,
+    asking,
+    note,
+    out,
+    print_json,
+    say,
+)
+from hil.errors import Declined, Untrustworthy, WrongUse
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from drivers.ports import Port
     from hil.doctor.checks import Check, CheckList
     from hil.doctor.commission import Report
+    from hil.hand.file import Hand
     from hil.stand.file import Stand
 
 
@@ -45,16 +60,19 @@ def doctor(
 
     The drive is connected, read for a second, armed at zero torque and stopped again. --commission then drives it at 10
     % of its torque limit and takes its commands away, up to a second long; hil record keeps to half the torque limit
-    until that has been done, and again after 30 days (docs/reliability.md).
+    until that has been done, and again after 30 days (docs/reliability.md). With the file of a hand and no --joint, all
+    joints are checked one after the other.
     """
     from drivers.ports import can_interfaces, serial_ports
     from hil.doctor.checks import CheckList
-    from hil.doctor.examine import examine
-    from hil.hand.file import load_stand
+    from hil.hand.file import load, load_stand
 
     jog = options.amplitude_of(amplitude, mode)
     if jog is not None and not jog > 0.0:
         raise WrongUse(f"--amplitude {jog:g}: it must be above 0")
+    wanted = _Wanted(mode, rate, jog, move=move, tune=tune, commission=commission, yes=yes)
+    if stand is not None and joint is None and _is_hand(stand):
+        raise typer.Exit(_check_hand(load(stand), wanted, as_json=as_json))
     opened = None if stand is None else load_stand(stand, joint)
     ports, interfaces = serial_ports(), can_interfaces()
     checks = CheckList(on_alarm=say)
@@ -70,26 +88,143 @@ def doctor(
     report = None
     try:
         if opened is not None:
-            words = say if commission else None
-            agree = asking(yes=yes or commission)
-            report = examine(
-                checks, opened, mode, rate=rate, move=move, amplitude=jog, tuned=tune, say=words, agree=agree
-            )
+            report = wanted.examined(checks, opened)
     finally:
         if commission and not as_json:
             _print_commissioning(checks, report)
     if as_json:
-        print_json(_as_json(checks, {"serial": ports, "can": interfaces}, report))
-    _end(checks, report)
+        listed = {kind: [asdict(port) for port in found] for kind, found in (("serial", ports), ("can", interfaces))}
+        print_json({"schema": "hil-doctor/2", "ports": listed} | _as_json(checks, report))
+    raise typer.Exit(_status(checks, report))
 
 
-def _end(checks: CheckList, report: Report | None) -> None:
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """The options that say what is checked of a drive. amplitude: of the jog, N m or rad at the joint."""
+
+    mode: Quantity
+    rate: float
+    amplitude: float | None
+    move: bool
+    tune: bool
+    commission: bool
+    yes: bool
+
+    def examined(self, checks: CheckList, stand: Stand, **more: Any) -> Report | None:
+        """Make the checks of one stand. more: further arguments of `examine`."""
+        from hil.doctor.examine import examine
+
+        return examine(
+            checks,
+            stand,
+            self.mode,
+            rate=self.rate,
+            move=self.move,
+            amplitude=self.amplitude,
+            tuned=self.tune,
+            say=say if self.commission else None,
+            agree=asking(yes=self.yes or self.commission),
+            **more,
+        )
+
+
+def _is_hand(path: Path) -> bool:
+    from hil.hand.file import is_hand
+    from hil.recording.input import read_text
+    from hil.stand.file import LARGEST
+
+    return is_hand(read_text(path, largest=LARGEST))
+
+
+def _check_hand(hand: Hand, wanted: _Wanted, *, as_json: bool) -> int:
+    """Check the joints of a hand one after the other, print a line for each, and return the worst exit status.
+
+    A joint's failure ends only its own checks; a signal, or a torque that may still be on, ends all.
+    """
+    from hil.doctor.checks import CheckList
+
+    search = _searching_once()
+    statuses: dict[str, int] = {}
+    shown: dict[tuple[str, str], str] = {}
+    tables: dict[str, dict[str, Any]] = {}
+    seconds = 0.0
+    for at, joint in enumerate(hand.joints, 1):
+        checks, report, status = CheckList(on_alarm=say), None, DONE
+        began = time.monotonic()
+        try:
+            if wanted.commission:
+                _confirm(joint.stand, yes=wanted.yes)
+                began = time.monotonic()  # the person's answer takes no part in the estimate
+            report = wanted.examined(checks, joint.stand, search=search)
+        except Declined:
+            raise
+        except (WrongUse, Untrustworthy, DriverError) as error:
+            checks.failed("stand", str(error))
+            status = UNTRUSTWORTHY if isinstance(error, Untrustworthy) else WRONG_USE * isinstance(error, WrongUse)
+        seconds += time.monotonic() - began
+        is_live = any(check.name == "torque off" for check in checks.checks)
+        statuses[joint.name] = STAND_FAILED if is_live else status or _status(checks, report)
+        if as_json:
+            tables[joint.name] = _as_json(checks, report)
+        else:
+            _print_joint(joint.name, checks, report, shown)
+        if checks.signal or is_live:
+            break
+        if left := len(hand.joints) - at:
+            note(f"{at} of {len(hand.joints)} joints; about {seconds / at * left / 60.0:.1f} min left")
+    if as_json:
+        print_json({"schema": "hil-doctor-hand/1", "ok": not any(statuses.values()), "joints": tables})
+    else:
+        out(_hand_summary(hand, statuses))
+    return max(statuses.values())
+
+
+def _hand_summary(hand: Hand, statuses: Mapping[str, int]) -> str:
+    wrong = [name for name, status in statuses.items() if status]
+    left = [joint.name for joint in hand.joints if joint.name not in statuses]
+    said = f"{len(statuses) - len(wrong)} of {len(hand.joints)} joints passed"
+    said += f"; wrong: {', '.join(wrong)}" if wrong else ""
+    return said + (f"; not checked: {', '.join(left)}" if left else "")
+
+
+def _print_joint(name: str, checks: CheckList, report: Report | None, shown: dict[tuple[str, str], str]) -> None:
+    """Print one line for a joint, and below it what is wrong. shown: what was printed before, with its joint, to print
+    nothing twice.
+    """
+    info = checks.info
+    words = [] if info is None else [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}"]
+    if report is not None:
+        words.append(f"commissioned until {report.outcome.until}" if report.good else report.verdict)
+    out(f"{checks.verdict:11} {name}: {', '.join(word for word in words if word) or 'it was not reached'}")
+    for check in checks.checks:
+        if check.verdict in {"warning", "error"}:
+            first = shown.setdefault((check.name, check.message), name)
+            if first == name or check.verdict == "error":
+                out(f"{'':11}   {check.name}: {check.message if first == name else f'as with {first}'}")
+
+
+def _searching_once() -> Callable[[str, Any], list[str]]:
+    """Return the search for drives on the link of one that does not answer, which searches each link once."""
+    from hil.stand.devices import found_by_search
+
+    found: dict[tuple[object, ...], list[str]] = {}
+
+    def search(backend: str, table: Any) -> list[str]:
+        link = (backend, *(getattr(table, key, None) for key in ("port", "interface", "channel")))
+        if link not in found:
+            found[link] = found_by_search(backend, table)
+        return found[link]
+
+    return search
+
+
+def _status(checks: CheckList, report: Report | None) -> int:
+    """Return the exit status that follows from the checks of a drive."""
     if checks.signal:
-        raise typer.Exit(128 + checks.signal)
+        return 128 + checks.signal
     if report is not None and not report.good:
-        raise typer.Exit(UNTRUSTWORTHY)
-    if not checks.ok:
-        raise typer.Exit(STAND_FAILED)
+        return UNTRUSTWORTHY
+    return DONE if checks.ok else STAND_FAILED
 
 
 def _confirm(stand: Stand | None, *, yes: bool) -> None:
@@ -141,16 +276,14 @@ def _print_check(check: Check) -> None:
     out(f"{check.verdict:11} {check.name}: {check.message}")
 
 
-def _as_json(checks: CheckList, ports: dict[str, list[Port]], report: Report | None) -> dict[str, Any]:
+def _as_json(checks: CheckList, report: Report | None) -> dict[str, Any]:
     info = None if checks.info is None else asdict(checks.info) | {"quantities": sorted(checks.info.quantities)}
     if info is not None:
         info = {
             key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in info.items()
         }
     return {
-        "schema": "hil-doctor/2",
         "ok": checks.ok,
-        "ports": {kind: [asdict(port) for port in listed] for kind, listed in ports.items()},
         "drive": info,
         "bus": None if checks.bus is None else asdict(checks.bus),
         "commissioning": None if report is None else report.as_json(),

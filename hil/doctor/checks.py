@@ -67,6 +67,12 @@ class CheckList:
         """Return whether no check is an error."""
         return all(check.verdict is not Verdict.ERROR for check in self.checks)
 
+    @property
+    def verdict(self) -> Verdict:
+        """Return the worst verdict of all checks."""
+        found = {check.verdict for check in self.checks}
+        return next((one for one in (Verdict.ERROR, Verdict.WARNING) if one in found), Verdict.OK)
+
     def add(self, name: str, verdict: Verdict, message: str) -> None:
         """Append a check with its verdict and message."""
         keys = self.keys.get(name, ()) if verdict is Verdict.ERROR else ()

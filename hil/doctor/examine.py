@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from drivers.ports import can_interfaces, serial_problem
 from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, ServoInfo
@@ -46,14 +47,16 @@ def examine(
     tuned: bool = False,
     say: Callable[[str], object] | None = None,
     agree: Agree | None = None,
+    search: Callable[[str, Any], list[str]] = found_by_search,
 ) -> Report | None:
     """Make every check that the stand allows and add each to `checks`. The torque is off on return.
 
     rate: the rate that the link must reach, Hz. move: whether the motor may be driven. amplitude: of this move, N m or
     rad at the joint (None: a twentieth of the limit). tuned: whether to search for the highest rate. say: if given, the
     drive is also commissioned, and `say` is called with a sentence before each trial. agree: called before anything is
-    opened if `move` moves a real motor for the first time. Return the result of commissioning, None without it. Raises
-    WrongUse if the stand file is incomplete for the checks, and the errors of `agree` and `commission`.
+    opened if `move` moves a real motor for the first time. search: called for a drive that does not answer. Return the
+    result of commissioning, None without it. Raises WrongUse if the stand file is incomplete for the checks, and the
+    errors of `agree` and `commission`.
     """
     size = _jog_size(stand.checked_limits(), mode, amplitude)
     check_backend(stand.stand.backend)
@@ -66,7 +69,7 @@ def examine(
         unit = "N m" if mode is Quantity.TORQUE else "rad"
         require_agreement(stand, mode, f"will swing with up to {size:.3g} {unit} at the joint for 3 s.", agree)
     with StopRequest().listening() as stop:
-        with _connected(checks, stand, mode) as servo:
+        with _connected(checks, stand, mode, search) as servo:
             samples = [] if servo is None else check_link(checks, servo, rate, stop)
             ready = servo is not None and samples and not stop.count and check_readings(checks, stand, samples)
             if servo is not None and ready and _check_neighbours(checks, stand, servo) and not stop.count:
@@ -119,12 +122,14 @@ def _check_real_time(checks: CheckList) -> None:
 
 
 @contextmanager
-def _connected(checks: CheckList, stand: Stand, mode: Quantity) -> Iterator[Servo | None]:
+def _connected(
+    checks: CheckList, stand: Stand, mode: Quantity, search: Callable[[str, Any], list[str]]
+) -> Iterator[Servo | None]:
     """Yield the servo, or None if it cannot be opened. Afterwards switch the torque off and close the link."""
     try:
         servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     except DriverError as error:
-        checks.failed("connection", f"{error}{_searched(stand, error)}")
+        checks.failed("connection", f"{error}{_searched(stand, error, search)}")
         yield None
         return
     try:
@@ -159,7 +164,7 @@ def _torque_off(checks: CheckList, servo: Servo) -> None:
         raise result.error
 
 
-def _searched(stand: Stand, error: DriverError) -> str:
+def _searched(stand: Stand, error: DriverError, search: Callable[[str, Any], list[str]]) -> str:
     """Return a sentence about other devices on the link, if the device of the stand file does not answer; "" if there
     are none.
     """
@@ -167,7 +172,7 @@ def _searched(stand: Stand, error: DriverError) -> str:
     if not isinstance(error, NoReply | BadReply):
         return ""
     try:
-        others = found_by_search(name, stand.devices[name])
+        others = search(name, stand.devices[name])
     except DriverError:
         return ""
     return f". But {'; '.join(others)}: correct the stand file" if others else ""
