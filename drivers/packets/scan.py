@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from drivers.clock import Clock
     from drivers.packets.wire import Wire
 
-_PATIENCE = 0.02  # s
+_PATIENCE = 0.1  # s
 
 
 class Kind(NamedTuple):

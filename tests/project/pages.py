@@ -174,7 +174,7 @@ def read(reader: Reader, page: str, *, busy: bool = False) -> None:
     for block in blocks(page):
         if reason_not_to_run(page, block) is None:
             _read(reader, block, busy=busy)
-            if block.has_a_drive:
+            if block.has_a_drive and "hil identify" in block.text:
                 _holds_the_truth(reader, block, "" if busy else (ROOT / page).read_text(encoding="utf-8"))
 
 
