@@ -95,11 +95,11 @@ class SerialPort(PortHandler):  # type: ignore[misc]  # the SDK ships no types
         return self._budget <= 0 or self._clock.now() >= self._deadline
 
     def drain(self, silence: float) -> bool:
-        """Discard received bytes until none arrives for `silence` s. Return False if bytes still arrive after
-        `PATIENCE` s.
+        """Discard received bytes until none arrives for `silence` s. Return False if bytes still arrive `PATIENCE` s
+        after the line could have been silent for so long.
         """
         self._echo.sent(b"")
-        end = no_later(self._clock.now() + PATIENCE)
+        end = no_later(self._clock.now() + silence + PATIENCE)
         quiet_since = self._clock.now()
         while self._clock.now() < end:
             self.expect(self._clock.now() + POLL, 0)

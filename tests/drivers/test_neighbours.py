@@ -150,3 +150,12 @@ def test_a_drive_that_reports_its_state_only_when_it_is_commanded_is_not_asked(m
     sent = len(rig.port.sent)
     assert not isinstance(servo, HasNeighbours) or servo.neighbours() is None
     assert len(rig.port.sent) == sent
+
+
+def test_neighbours_are_asked_over_an_adapter_that_holds_replies_back_for_long() -> None:
+    """The line must then be silent for longer than it usually takes to fall silent."""
+    rig, _ = with_second(PAIRS["dynamixel"])
+    rig.bus._timing = PacketTiming(usb_latency=0.15)
+    servo = rig.open(reply_timeout=0.3, watchdog=1.0)
+    assert servo.neighbours() == []
+    servo.close()
