@@ -67,8 +67,9 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
             raise
         except (WrongUse, Untrustworthy, DriverError, LimitReached) as error:
             journal.keep(run, str(error))
-            desk.say(f"{run.name} failed: {error}")
+            desk.say(f"{plan.named(run)} failed: {error}")
             if alarms:
+                desk.say("nothing else is driven: remove the cause; then the same command resumes")
                 raise
             continue
         if ended.outcome.signal:

@@ -125,6 +125,13 @@ class Plan:
         """The name of the plan's command, which is also the name of the table with its settings."""
         return "campaign" if self.hand is None else "hand"
 
+    def named(self, run: Run) -> str:
+        """Return the name of a run, for a hand with the id of its servo."""
+        stand = self.stand_of(run.joint)
+        table = stand.devices.get(str(stand.stand.backend)) if isinstance(stand, Stand) else None
+        ident = getattr(table, "id", None)
+        return run.name if ident is None else f"{run.name} (servo {ident})"
+
     def stand_of(self, joint: JointTable) -> str | Path | Stand:
         """Return a joint's stand: of a hand the stand itself, of a plan.toml the path of its file, or "sim"."""
         if self.hand is not None:
@@ -243,7 +250,8 @@ def _run(
     stated = [joint.model_dump(exclude={"before"}), profile.model_dump(), pretension]
     stand = plan.stand_of(joint)
     if isinstance(stand, Stand):  # an edit of the hand's file is an edit of the plan; a note of a calibration is not
-        stated += [repr((stand.stand, stand.limits, stand.devices, stand.sensor))]
+        alone = stand.stand.model_copy(update={"hand_ids": {}})  # another joint's corrected id is no edit of this one
+        stated += [repr((alone, stand.limits, stand.devices, stand.sensor))]
     settings = json.dumps(stated, sort_keys=True)
     key = hashlib.sha256(settings.encode()).hexdigest()[:16]
     return Run(name, joint, profile, pretension, repeat, plan.folder / f"{name}.h5", key, asks, is_check)

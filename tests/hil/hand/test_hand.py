@@ -21,6 +21,26 @@ limits.deflection = 1e-3   # reached at once
 """
 
 
+BUS = """
+[hand]
+backend = "dynamixel"
+repeats = 1
+[dynamixel]
+port = "/dev/ttyUSB0"
+model = "xl330-m288"
+[limits]
+torque = "30 mN*m"
+deflection = 1.0
+velocity = 50.0
+[[joint]]
+name = "a"
+dynamixel.id = 3
+[[joint]]
+name = "b"
+dynamixel.id = 4
+"""
+
+
 def test_a_hand_is_recorded_joint_after_joint_and_a_failure_names_its_joint_and_stops_no_other(
     hil: Hil, tmp_path: Path
 ) -> None:
@@ -57,6 +77,10 @@ def test_an_edit_of_what_was_recorded_is_refused_and_an_edit_of_the_routing_is_n
     assert [run.key for run in of_hand(path).runs] == first
     path.write_text(SIMULATED_HAND.replace("stand.gear_ratio = 5.0", "stand.gear_ratio = 5.1"))
     assert [run.key == old for run, old in zip(of_hand(path).runs, first, strict=True)] == [True, False]
+    path.write_text(BUS)
+    one, two = (run.key for run in of_hand(path).runs)
+    path.write_text(BUS.replace("id = 4", "id = 5"))
+    assert [run.key == old for run, old in zip(of_hand(path).runs, (one, two), strict=True)] == [True, False]
     path.write_text(SIMULATED_HAND.replace("[hand]", '[hand]\noutput = "../elsewhere"'))
     with pytest.raises(WrongUse, match=r"hand\.output = '\.\./elsewhere' is outside"):
         of_hand(path)
