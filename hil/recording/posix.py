@@ -130,6 +130,7 @@ else:
             child = os.fork()
         if child == 0:
             try:
+                os.close(reading)  # or nobody would hang up where this process is killed, and the copy would wait
                 _limit(processor, memory)
                 _send(work, writing)
             finally:
@@ -151,7 +152,9 @@ else:
         return answer  # type: ignore[no-any-return]
 
     def _send(work: Callable[[], Answer], pipe: int) -> None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # what a library prints when it crashes helps nobody
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in {1, 2} - {pipe}:  # what a crashing library prints helps nobody, and a reader waits for both ends
+            os.dup2(nowhere, stream)
         answer: tuple[Answer | None, Exception | None]
         try:
             answer = work(), None
