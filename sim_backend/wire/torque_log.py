@@ -8,31 +8,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sim_backend.wire.plant_motor import PlantMotor
+    from sim_backend.wire.life import Life
 
-WatchdogState = Literal["none", "off", "on", "tripped"]
-"""The state of a drive's watchdog. none: the drive has no watchdog. off: the watchdog is not active now. on: it is
-active. tripped: it has stopped the drive.
-"""
 COLUMNS = ("time_s", "drive", "commanded_Nm", "acting_Nm", "enabled", "watchdog")
 _STEP = 1e-3  # s between two rows in which only the acting torque differs
-
-
-class Watched(Protocol):
-    """An emulated drive whose motor and watchdog can be logged."""
-
-    @property
-    def motor(self) -> PlantMotor[Any]:
-        """The motor whose torque is logged."""
-
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the drive's watchdog."""
 
 
 class TorqueLog:
@@ -49,13 +33,11 @@ class TorqueLog:
         self._file = os.open(path, flags, 0o644)
         self._line(COLUMNS)
 
-    def watch_all(self, drives: Iterable[Watched], powered: float) -> None:
-        """Write a row at each change of the torque or watchdog of `drives`. The drives were powered at `powered`, s,
-        and are numbered from 0.
-        """
-        for number, drive in enumerate(drives):
-            drive.motor.observer = _Changes(drive, str(number), powered, self._line).observe
-            drive.motor.observer()
+    def watch_all(self, lives: Iterable[Life]) -> None:
+        """Write a row at each change of the torque or watchdog of the drives with `lives`, numbered from 0."""
+        for number, life in enumerate(lives):
+            life.motor.observer = _Changes(life, str(number), self._line).observe
+            life.motor.observer()
 
     def close(self) -> None:
         """Close the file; changes are no longer logged."""
@@ -68,19 +50,19 @@ class TorqueLog:
 class _Changes:
     """Writes the rows of one drive."""
 
-    def __init__(self, drive: Watched, name: str, powered: float, line: Callable[[tuple[str, ...]], None]) -> None:
-        self._drive, self._name, self._powered, self._line = drive, name, powered, line
+    def __init__(self, life: Life, name: str, line: Callable[[tuple[str, ...]], None]) -> None:
+        self._life, self._name, self._line = life, name, line
         self._written: tuple[str, ...] = ()
         self._acting = ""
         self._at = -_STEP
 
     def observe(self) -> None:
-        motor = self._drive.motor
-        state = (f"{motor.commanded:.6g}", str(int(motor.enabled)), self._drive.watchdog_state)
+        motor = self._life.motor
+        state = (f"{motor.commanded:.6g}", str(int(motor.enabled)), self._life.watchdog_state)
         acting = f"{motor.torque:.6g}"
         moved = acting != self._acting and motor.time >= self._at + _STEP
         if state == self._written and not moved:
             return
         self._written, self._acting, self._at = state, acting, motor.time
         commanded, enabled, watchdog = state
-        self._line((f"{self._powered + motor.time:.6f}", self._name, commanded, acting, enabled, watchdog))
+        self._line((f"{self._life.now:.6f}", self._name, commanded, acting, enabled, watchdog))

@@ -111,7 +111,7 @@ def test_an_odrive_with_its_endpoint_file_has_the_parameters_again_that_closing_
         one.servo.arm(one.limits)
     assert settings(wired.device) != before
     assert_restored(wired, closed)
-    assert wired.device.watchdog_state == closed.device.watchdog_state == "off"
+    assert wired.device.life.watchdog_state == closed.device.life.watchdog_state == "off"
 
 
 class Killed(BaseException):

@@ -21,7 +21,7 @@ from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.messages import from_message, to_message
 from sim_backend.wire.canbus.slcan import slcan_line
 from sim_backend.wire.faults import follow
-from sim_backend.wire.torque_log import Watched
+from sim_backend.wire.life import Life
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -105,8 +105,10 @@ def _opened(interface: str, channel: str) -> tuple[can.BusABC, Callable[[], bool
     return can.Bus(interface=interface, channel=channel, ignore_config=True), lambda: True
 
 
-class CanDrive(CanNode, Watched, Protocol):
-    """An emulated drive on a CAN bus whose torque can be logged."""
+class CanDrive(CanNode, Protocol):
+    """An emulated drive on a CAN bus with its life."""
+
+    life: Life
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,9 +152,9 @@ class CanFamily:
         now = time.monotonic()
         drives = [self.make(model, ident, parameters, now) for ident in idents or (self.first,)]
         if log is not None:
-            log.watch_all(drives, now)
+            log.watch_all(drive.life for drive in drives)
         bus = CanBus(drives, timing=timing)
         if faults is not None:
-            follow(faults, bus.faults, [drive.motor for drive in drives], now, can=True)
+            follow(faults, bus.faults, [drive.life.motor for drive in drives], now, can=True)
         line = {"slcan": slcan_line, "damiao": damiao_line, "robstride": at_line}.get(interface)
         return CanServer(interface, str(channel), bus) if line is None else line(Path(channel), bus)

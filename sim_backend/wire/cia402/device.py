@@ -19,11 +19,11 @@ from sim_backend.wire.canopen.node import HEARTBEAT_LOST, OPERATIONAL, CanopenNo
 from sim_backend.wire.cia402.machine import REMOTE, VOLTAGE, Cia402Machine, Cia402State
 from sim_backend.wire.cia402.tables import GROUPS, MODELS, TORQUE_CONSTANT, entries
 from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.life import Life
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.canbus.frames import CanFrame
-    from sim_backend.wire.torque_log import WatchdogState
 
 TURN = 2.0 * math.pi
 OVERTEMPERATURE = 0x4210
@@ -66,17 +66,13 @@ class Cia402Device:
         }
         for key, value in identity.items():
             self.objects.put(*key, value)
-        self._powered = now
         self._zero = 0.0
+        self.life = Life(self.motor, now, lambda: self.node.watches, self._silenced)
         self._hook()
         self.node = CanopenNode(ident, self.objects, self, now)
 
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the drive's watch on the host's heartbeat."""
-        if self.machine.state is Cia402State.FAULT and self.objects.get(0x1003, 1) == HEARTBEAT_LOST:
-            return "tripped"
-        return "on" if self.node.watches else "off"
+    def _silenced(self) -> bool:
+        return self.machine.state is Cia402State.FAULT and self.objects.get(0x1003, 1) == HEARTBEAT_LOST
 
     @property
     def eds(self) -> str:
@@ -99,7 +95,7 @@ class Cia402Device:
         """Simulate the motor up to `now`."""
         self.machine.advance(now)
         self._control()
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         self.node.advance(now)
         hot = self.objects.entries.get((0x3201, 4))
         too_hot = hot is not None and self.motor.temperature * 10.0 > self.objects.get(0x3201, 4)
@@ -158,7 +154,7 @@ class Cia402Device:
 
     def restarted(self, now: float) -> None:
         """Start the drive anew: torque off, state machine at its start, position zero, no faults."""
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         self.motor.disable()
         self.machine = Cia402Machine()
         self._zero = self.motor.position
@@ -261,7 +257,7 @@ class Cia402Device:
             0x1003: self._history_written,
             0x1010: self._stored,
             0x1011: self._restored,
-            0x6040: lambda _i, _s, value: self._command(value, self._powered + self.motor.time),
+            0x6040: lambda _i, _s, value: self._command(value, self.life.now),
             0x6060: self._mode_written,
         }
 

@@ -13,9 +13,10 @@ from sim_backend.parameters import SimParameters
 from sim_backend.wire.commander.device import CommanderDevice
 from sim_backend.wire.commander.motion import MotionControl
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults, follow
+from sim_backend.wire.life import Life
 from sim_backend.wire.loadcell.emulator import Pair, with_cell
 from sim_backend.wire.plant_motor import PlantMotor
-from sim_backend.wire.torque_log import TorqueLog, WatchdogState
+from sim_backend.wire.torque_log import TorqueLog
 from sim_backend.wire.uart.pacing import paced
 from sim_backend.wire.uart.pty_line import PtyLine
 
@@ -63,7 +64,7 @@ class CommanderBoard:
         self._tripped = False
         self._baudrate = baudrate
         self._timing = timing
-        self.made = now
+        self.life = Life(device.motor, now, (lambda: self.motor.enabled) if watchdog else None, self._stopped)
         self._heard = now
         self._awake = now
         self._free = now
@@ -77,13 +78,9 @@ class CommanderBoard:
         """The motor with its demand law."""
         return self.device.motor
 
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the watchdog in the board's program."""
-        if not self.watchdog:
-            return "none"
+    def _stopped(self) -> bool:
         self._tripped = self._tripped and not self.motor.enabled
-        return "tripped" if self._tripped else "on" if self.motor.enabled else "off"
+        return self._tripped
 
     def garble(self, sent: str, received: str) -> None:
         """Replace the text `sent` by `received` the next time that a client sends it: a transmission error."""
@@ -94,7 +91,7 @@ class CommanderBoard:
         measures.
         """
         self.advance(end)
-        return self.device.joint.mean(begin - self.made, end - self.made)
+        return self.device.joint.mean(begin - self.life.powered, end - self.life.powered)
 
     def reboot(self, now: float) -> None:
         """Cut the board's power for a moment."""
@@ -104,16 +101,16 @@ class CommanderBoard:
 
     def advance(self, now: float) -> None:
         """Simulate the board up to `now`, s."""
-        if self._awake > self.made and now >= self._awake:
-            self.motor.run(self._awake - self.made)
+        if self._awake > self.life.powered and now >= self._awake:
+            self.life.run(self._awake)
             self.device.restart()
-            self._heard, self._awake = self._awake, self.made
+            self._heard, self._awake = self._awake, self.life.powered
         elif self._lapsed(now):
-            self.motor.run(self._heard + self.watchdog - self.made)
+            self.life.run(self._heard + self.watchdog)
             self._tripped = True
             self.motor.disable()
             self.motor.law.target = 0.0
-        self.motor.run(now - self.made)
+        self.life.run(now)
 
     def _lapsed(self, now: float) -> bool:
         """Return whether the watchdog of the board's program trips before `now`."""
@@ -143,7 +140,7 @@ class CommanderBoard:
         at = now
         for character in text:
             at += self._duration(1)
-            if self._awake > self.made:  # it does not hear while it boots
+            if self._awake > self.life.powered:  # it does not hear while it boots
                 continue
             self._heard = at
             printed = self.device.type(character) if character not in "\n\r" else self._obey(character, at)
@@ -159,7 +156,7 @@ class CommanderBoard:
         self._streamed = max(self._streamed, now - _UNREAD)
         while self._streams and self.due() <= now:
             self._streamed = self.due()
-            if self._awake <= self.made:
+            if self._awake <= self.life.powered:
                 out += self._reply(self.device.monitored().encode(), self._streamed)
                 self._streamed = max(self._streamed, self._free - _SEND_BUFFER * self._duration(1))
         if not self._streams:
@@ -246,7 +243,7 @@ def serve(
     now = time.monotonic()
     board = new_board(parameters, firmware=firmware, baudrate=baudrate, timing=timing, now=now)
     if log is not None:
-        log.watch_all([board], now)
+        log.watch_all([board.life])
     if faults is not None:
         follow(faults, board.faults, [board.motor], now, can=False)
     line = PtyLine(link, board)

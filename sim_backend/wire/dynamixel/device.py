@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.control_table import GOALS, ControlTable
 from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
+from sim_backend.wire.life import Life
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
 from sim_backend.wire.packets.overload import Overload
@@ -30,7 +31,6 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s after a reboot in which the servo does not reply; the manual gives no value."""
@@ -73,7 +73,7 @@ class DynamixelDevice:
             self.registers.put("firmware_version", firmware)
         self.motor = PlantMotor(joint_at_horn(self.model, parameters), Regulator(self.model))
         self._firmware = self.registers.get("firmware_version")
-        self._powered = now
+        self.life = Life(self.motor, now, self._watches, lambda: self.tripped)
         self._booted = now
         self.ready = now
         self.heard = now
@@ -111,12 +111,8 @@ class DynamixelDevice:
         """Return whether the bus watchdog has stopped the servo."""
         return self.registers.get("bus_watchdog") == -1
 
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the bus watchdog, which is active while the torque is on."""
-        if self.tripped:
-            return "tripped"
-        return "on" if self.motor.enabled and self.registers.get("bus_watchdog") > 0 else "off"
+    def _watches(self) -> bool:
+        return self.motor.enabled and self.registers.get("bus_watchdog") > 0
 
     @property
     def torque_on(self) -> bool:
@@ -126,10 +122,10 @@ class DynamixelDevice:
     def advance(self, now: float) -> None:
         """Simulate motor and watchdog up to `now`."""
         period = self.registers.get("bus_watchdog") * 0.02
-        if self.motor.enabled and period > 0.0 and now - self.heard > period:
-            self.motor.run(self.heard + period - self._powered)
+        if self._watches() and now - self.heard > period:
+            self.life.run(self.heard + period)
             self._trip()
-        while self._overload.trips(self.motor, now - self._powered, high=self._loaded, lasting=OVERLOADED):
+        while self._overload.trips(self.motor, now - self.life.powered, high=self._loaded, lasting=OVERLOADED):
             self.fail(OVERLOAD)
         if self.motor.temperature > self.registers.get("temperature_limit"):
             self.fail(OVERHEAT)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.dynamixel.tables import MX_BAUD, MX_EEPROM_END, MX_MODELS, MX_RPM
+from sim_backend.wire.life import Life
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
 from sim_backend.wire.packets.registers import Registers
@@ -21,7 +22,6 @@ from sim_backend.wire.plant_motor import PlantMotor
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
     from sim_backend.wire.packets.registers import Item
-    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s after power-on in which the servo does not reply; the manual gives no value."""
@@ -38,8 +38,6 @@ class MxDevice:
     Times are s on the bus's clock. now: s, when the servo is powered. Raises KeyError for a model, or StopIteration for
     a baud rate, that is not in the tables.
     """
-
-    watchdog_state: WatchdogState = "none"
 
     def __init__(
         self,
@@ -59,7 +57,8 @@ class MxDevice:
         """The present hardware errors, as bits of the error byte."""
         self.ignores_torque_off = False
         """Whether torque-off is acknowledged but not carried out: a fault for tests."""
-        self._powered = self._booted = self.ready = self.heard = now
+        self.life = Life(self.motor, now)
+        self._booted = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self.put("id", ident)
         self.put("baud_rate", next(code for code, rate in MX_BAUD.items() if rate == baudrate))
@@ -86,7 +85,7 @@ class MxDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         hot = self.motor.temperature > self.get("temperature_limit")
         if hot:
             self.fail(MX_HEAT)

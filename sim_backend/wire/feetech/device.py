@@ -23,6 +23,7 @@ import math
 from typing import TYPE_CHECKING
 
 from sim_backend.wire.feetech.tables import BAUD, CURRENT_LSB, EEPROM_END, MODELS
+from sim_backend.wire.life import Life
 from sim_backend.wire.loadcell.joint_torque import JointTorque
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
@@ -41,7 +42,6 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.3
 """s after power-on in which the servo does not reply; the manual gives no value."""
@@ -67,8 +67,6 @@ class FeetechDevice:
     Raises KeyError for a model, and ValueError for a baud rate, that is not in the tables.
     """
 
-    watchdog_state: WatchdogState = "none"
-
     def __init__(
         self,
         model: str,
@@ -90,7 +88,8 @@ class FeetechDevice:
         """The present errors, as bits of the status."""
         self.ignores_torque_off = False
         """Whether torque-off is acknowledged but not carried out: a fault for tests."""
-        self._powered = self.ready = self.heard = now
+        self.life = Life(self.motor, now)
+        self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._overload, self._resisted = Overload(), 0.0
         self._limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
@@ -132,12 +131,12 @@ class FeetechDevice:
         measures.
         """
         self.advance(end)
-        return self.joint.mean(begin - self._powered, end - self._powered)
+        return self.joint.mean(begin - self.life.powered, end - self.life.powered)
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
         lasting = self.get("protection_time") * 0.01
-        while self._overload.trips(self.motor, now - self._powered, high=self._loaded, lasting=lasting):
+        while self._overload.trips(self.motor, now - self.life.powered, high=self._loaded, lasting=lasting):
             self._resisted = math.copysign(1.0, self.motor.torque)
             self.fail(OVERLOAD)
         if self.motor.temperature > self.get("temperature_limit"):

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.life import Life
 from sim_backend.wire.mit import servo_mode
 from sim_backend.wire.mit.tables import MODELS, registers
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.2
 KP_MOST, KD_MOST = 500.0, 5.0
@@ -86,7 +86,8 @@ class MitDevice:
         self.ignores_off = False
         """Whether leaving motor mode is acknowledged but not carried out: a fault for tests."""
         self._zero = 0.0
-        self._powered = now
+        watches = (lambda: self.motor.enabled and self.values[9]) if self.damiao else None
+        self.life = Life(self.motor, now, watches, lambda: self.error == LOST_COMMUNICATION)
         self._ready = now
         self._heard = now
         self._report_due = now if servo else math.inf
@@ -102,15 +103,6 @@ class MitDevice:
         if self.error or not self.damiao:
             return self.error
         return ENABLED if self.motor.enabled else DISABLED
-
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of a Damiao's timeout. The emulated AK has no watchdog."""
-        if not self.damiao:
-            return "none"
-        if self.error == LOST_COMMUNICATION:
-            return "tripped"
-        return "on" if self.motor.enabled and self.values[9] else "off"
 
     def due(self) -> float:
         """Return the time of the next report in servo mode, s; infinity in MIT mode."""
@@ -128,9 +120,9 @@ class MitDevice:
         """Simulate the motor up to `now` and check for faults."""
         timeout = self.values[9] * TIMEOUT_LSB if self.damiao else 0.0
         if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
-            self.motor.run(self._heard + timeout - self._powered)
+            self.life.run(self._heard + timeout)
             self.fail(LOST_COMMUNICATION)
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         if self.motor.temperature > (self.values[2] if self.damiao else _AK_HOTTEST):
             self.fail(TOO_HOT[self.damiao])
 

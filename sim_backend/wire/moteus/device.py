@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sim_backend.wire.canbus.frames import CanFrame, padded
 from sim_backend.wire.canbus.impedance import Impedance
 from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.life import Life
 from sim_backend.wire.moteus.channels import CHANNELS
 from sim_backend.wire.moteus.command import (
     BRAKE,
@@ -49,7 +50,6 @@ from sim_backend.wire.plant_motor import PlantMotor
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 COUNTS = 16384
 TORQUE_LSB = 2e-3
@@ -94,7 +94,7 @@ class MoteusDevice:
         """Registers that the emulated firmware does not have."""
         self.ignores_stop = False
         """Whether a stop is acknowledged but not carried out: a fault for tests."""
-        self._powered = now
+        self.life = Life(self.motor, now, self._watches, lambda: self.mode == TIMEOUT)
         self._offset = 0.0
         self._restart(now)
 
@@ -116,12 +116,8 @@ class MoteusDevice:
         """The position at the output, rev, rounded to encoder counts."""
         return round((self.motor.position - self._offset) / TURN * COUNTS) / COUNTS
 
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the watchdog, which is active in the modes that take set-points."""
-        if self.mode == TIMEOUT:
-            return "tripped"
-        return "on" if self.mode in TIMED and math.isfinite(self._timeout()) else "off"
+    def _watches(self) -> bool:
+        return self.mode in TIMED and math.isfinite(self._timeout())
 
     def due(self) -> float:
         """Return infinity: the controller sends nothing without a request."""
@@ -149,9 +145,9 @@ class MoteusDevice:
         """Simulate the motor up to `now` and check for faults."""
         timeout = self._timeout()
         if self.mode in TIMED and now - self._heard > timeout and not self.motor.watchdog_broken:
-            self.motor.run(self._heard + timeout - self._powered)
+            self.life.run(self._heard + timeout)
             self._time_out()
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         get = self.console.values.get
         hottest = (get("servo.fault_temperature", math.inf), get("servo.motor_fault_temperature", math.inf))
         if self.mode not in {STOPPED, FAULT} and any(self.motor.temperature > limit for limit in hottest):

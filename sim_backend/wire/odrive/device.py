@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.life import Life
 from sim_backend.wire.odrive.endpoints import Endpoints
 from sim_backend.wire.odrive.states import (
     CLOSED_LOOP,
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
 BROADCAST = 0x3F
@@ -91,7 +91,7 @@ class OdriveDevice:
         self.ignores_idle = False
         """Whether a request for the state idle is accepted but not carried out: a fault for tests."""
         self.calibrated = True
-        self._powered = now
+        self.life = Life(self.motor, now, self._watched, lambda: self.errors & WATCHDOG[self.layout])
         self._message = self._messages()
         self._start(now)
 
@@ -109,14 +109,6 @@ class OdriveDevice:
         """The node id."""
         return int(self.endpoints.get(_NODE_ID))
 
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the watchdog of the axis."""
-        if self.errors & WATCHDOG[self.layout]:
-            return "tripped"
-        return "on" if self._watched else "off"
-
-    @property
     def _watched(self) -> bool:
         set_ = bool(self.endpoints.get("axis0.config.enable_watchdog"))
         set_ = set_ and self.endpoints.get("axis0.config.watchdog_timeout") > 0.0
@@ -157,10 +149,10 @@ class OdriveDevice:
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
         timeout = self.endpoints.get("axis0.config.watchdog_timeout")
-        if self._watched and now - self._fed > timeout and not self.motor.watchdog_broken:
-            self.motor.run(self._fed + timeout - self._powered)
+        if self._watched() and now - self._fed > timeout and not self.motor.watchdog_broken:
+            self.life.run(self._fed + timeout)
             self.fail(WATCHDOG[self.layout])
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         if self.state != CLOSED_LOOP:
             self.calibrated |= self._procedures.proceed(now)
             self.state = self._procedures.state
@@ -351,7 +343,7 @@ class OdriveDevice:
         old = self.layout == "0.5"
         self.errors &= ~_INVALID_STATE if old else ~0
         self.motor.disable()
-        self._procedures.begin(state, self._powered + self.motor.time, calibrated=self.calibrated)
+        self._procedures.begin(state, self.life.now, calibrated=self.calibrated)
         self.state = self._procedures.state
         if state == CLOSED_LOOP and (self.errors or not self.calibrated):
             self._procedures.result = NOT_CALIBRATED if not self.calibrated else DISARMED

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from sim_backend.wire.faults import Reboots, SerialFault, Unplug, WireFaults
+from sim_backend.wire.life import Life
 from sim_backend.wire.packets.frames import (
     BROADCAST,
     HEADER,
@@ -27,7 +28,6 @@ from sim_backend.wire.packets.frames import (
     writes,
 )
 from sim_backend.wire.packets.frames_1 import reads_1, status_1, take_packet_1, writes_1
-from sim_backend.wire.torque_log import Watched
 from sim_backend.wire.uart.pacing import paced
 
 
@@ -64,11 +64,12 @@ class LineSettings(NamedTuple):
     together: frozenset[int] = frozenset()
 
 
-class PacketServo(Watched, Protocol):
+class PacketServo(Protocol):
     """The interface between a line and an emulated servo. ready: s, when the servo's boot ends. heard: s, when the line
     last carried a request.
     """
 
+    life: Life
     ready: float
     heard: float
 

@@ -9,11 +9,11 @@ from typing import NamedTuple, TypeVar
 from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SimParameters
 from sim_backend.wire.faults import follow
-from sim_backend.wire.packets.bus import PacketBus
+from sim_backend.wire.packets.bus import PacketBus, PacketServo
 from sim_backend.wire.packets.regulator import Stalling, joint_at_horn
-from sim_backend.wire.torque_log import TorqueLog, Watched
+from sim_backend.wire.torque_log import TorqueLog
 
-Servo = TypeVar("Servo", bound=Watched)
+Servo = TypeVar("Servo", bound=PacketServo)
 
 
 class OnLine(NamedTuple):
@@ -61,7 +61,7 @@ def servos(
         for one in wanted
     ]
     if log is not None:
-        log.watch_all(made, now)
+        log.watch_all(servo.life for servo in made)
     return made
 
 
@@ -70,4 +70,4 @@ def follow_all(plan: FaultPlan | None, bus: PacketBus) -> None:
     of fault that the line or its servos cannot have.
     """
     if plan is not None:
-        follow(plan, bus.faults, [device.motor for device in bus.devices], time.monotonic(), can=False)
+        follow(plan, bus.faults, [device.life.motor for device in bus.devices], time.monotonic(), can=False)

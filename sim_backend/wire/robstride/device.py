@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.default_joint import fitting_joint
+from sim_backend.wire.life import Life
 from sim_backend.wire.robstride.tables import MODELS, Item, items
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
-    from sim_backend.wire.torque_log import WatchdogState
 
 BOOT = 0.2
 TIMEOUT_LSB = 5e-5
@@ -89,20 +89,16 @@ class RobstrideDevice:
         self._rate = self._next_rate = 1
         self._zero, self._host = 0.0, 0xFD
         self._mit_host = 0
-        self._powered = self._ready = self._heard = now
+        self.life = Life(
+            self.motor, now, lambda: self.motor.enabled and self.values["canTimeout"], lambda: self._tripped
+        )
+        self._ready = self._heard = now
         self._fault_due = self._report_due = math.inf
 
     @property
     def angle(self) -> float:
         """The parameter mechPos: the angle from the motor's zero, rad."""
         return self.motor.position - self._zero
-
-    @property
-    def watchdog_state(self) -> WatchdogState:
-        """The state of the motor's watchdog, canTimeout."""
-        if self._tripped:
-            return "tripped"
-        return "on" if self.motor.enabled and self.values["canTimeout"] else "off"
 
     def due(self) -> float:
         """Return the time of the next report or fault frame, s."""
@@ -124,10 +120,10 @@ class RobstrideDevice:
         """Simulate the motor up to `now` and check for faults."""
         timeout = self.values["canTimeout"] * TIMEOUT_LSB
         if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
-            self.motor.run(self._heard + timeout - self._powered)
+            self.life.run(self._heard + timeout)
             self._tripped = True
             self.motor.disable()
-        self.motor.run(now - self._powered)
+        self.life.run(now)
         if self.motor.temperature > self.model.hottest and not self.faults & OVERHEAT:
             self.fail(OVERHEAT)
 
@@ -135,7 +131,7 @@ class RobstrideDevice:
         """Latch the fault `fault` (bits of a fault frame) and switch the torque off."""
         self.faults |= fault
         self.motor.disable()
-        self._fault_due = self._powered + self.motor.time if self.protocol == PRIVATE else math.inf
+        self._fault_due = self.life.now if self.protocol == PRIVATE else math.inf
 
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""

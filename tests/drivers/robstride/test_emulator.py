@@ -164,9 +164,9 @@ def test_any_frame_feeds_the_timeout_and_its_end_resets_the_mode_without_a_fault
     ask(device, 3)
     for step in range(1, 5):
         ask(device, 17, b"\x19\x70" + bytes(6), 0.09 * step)
-    assert device.watchdog_state == "on"
+    assert device.life.watchdog_state == "on"
     device.advance(0.09 * 4 + 0.101)
-    assert (device.watchdog_state, device.motor.enabled) == ("tripped", False)
+    assert (device.life.watchdog_state, device.motor.enabled) == ("tripped", False)
     assert ask(device, 18, now=0.5).ident == 0x0200_7FFD
 
 

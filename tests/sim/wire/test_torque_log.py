@@ -17,7 +17,8 @@ from hil.cli.app import run
 from sim_backend.wire.canbus.impedance import CanMotor, Impedance
 from sim_backend.wire.catalogue import EMULATORS, make
 from sim_backend.wire.default_joint import scaled_joint
-from sim_backend.wire.torque_log import COLUMNS, TorqueLog, WatchdogState
+from sim_backend.wire.life import Life
+from sim_backend.wire.torque_log import COLUMNS, TorqueLog
 
 LIMITS = Limits(torque=0.03, velocity=40.0, temperature=65.0, position=(-3.0, 3.0))
 
@@ -30,16 +31,17 @@ def rows(path: Path) -> list[dict[str, str]]:
 class Drive:
     def __init__(self) -> None:
         self.motor = CanMotor(scaled_joint(1.0, 0.1, 1.0), Impedance())
-        self.watchdog_state: WatchdogState = "off"
+        self.tripped = False
+        self.life = Life(self.motor, 1000.0, watches=lambda: False, tripped=lambda: self.tripped)
 
 
 def test_a_row_is_written_at_every_change_of_torque_output_stage_and_watchdog(tmp_path: Path) -> None:
     drive, log = Drive(), TorqueLog(tmp_path / "torque.csv")
-    log.watch_all([drive], powered=1000.0)
+    log.watch_all([drive.life])
     drive.motor.enable()
     drive.motor.follow(Impedance(feedforward=0.25))
     drive.motor.run(0.05)
-    drive.watchdog_state = "tripped"
+    drive.tripped = True
     drive.motor.run(0.06)
     drive.motor.disable()
     drive.motor.run(0.2)
@@ -57,7 +59,7 @@ def test_a_row_is_written_at_every_change_of_torque_output_stage_and_watchdog(tm
 
 def test_an_unchanged_drive_writes_no_row(tmp_path: Path) -> None:
     drive, log = Drive(), TorqueLog(tmp_path / "torque.csv")
-    log.watch_all([drive], powered=0.0)
+    log.watch_all([drive.life])
     for tick in range(1000):
         drive.motor.run(tick * 1e-3)
     log.close()
