@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -11,6 +12,8 @@ WatchdogState = Literal["none", "off", "on", "tripped"]
 """The state of a drive's watchdog. none: the drive has no watchdog. off: the watchdog is not active now. on: it is
 active. tripped: it has stopped the drive.
 """
+_LOOK = 0.05
+"""s between two looks at the output of a servo that may be overloaded."""
 
 
 class Life:
@@ -30,6 +33,7 @@ class Life:
         self.motor = motor
         self.powered = now
         self._watches, self._tripped = watches, tripped
+        self._strained = math.inf
 
     @property
     def now(self) -> float:
@@ -46,3 +50,16 @@ class Life:
     def run(self, until: float) -> None:
         """Simulate the motor up to `until`. Has no effect if this time has passed."""
         self.motor.run(until - self.powered)
+
+    def overloads(self, until: float, high: Callable[[], bool], lasting: float) -> bool:
+        """Simulate the motor up to `until`, or until its output has been too high for `lasting` s. Return whether it
+        has. high: a function that returns whether the output is too high now.
+        """
+        motor, end = self.motor, until - self.powered
+        while motor.time < end:
+            motor.run(min(end, motor.time + _LOOK) if motor.enabled else end)
+            self._strained = min(self._strained, motor.time) if motor.enabled and high() else math.inf
+            if motor.time - self._strained >= lasting:
+                self._strained = math.inf
+                return True
+        return False

@@ -17,7 +17,6 @@ from sim_backend.wire.dynamixel.tables import BAUD, MODELS, RPM
 from sim_backend.wire.life import Life
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Error, Frame, Instruction
-from sim_backend.wire.packets.overload import Overload
 from sim_backend.wire.packets.regulator import (
     COUNT,
     CURRENT,
@@ -79,7 +78,6 @@ class DynamixelDevice:
         self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._turns_off = 0
-        self._overload = Overload()
         self.registers.put("goal_position", self._position())
         self.watchdog_broken = False
         """Whether the watchdog register trips but the motor turns on, as seen on the 330 series,
@@ -125,7 +123,7 @@ class DynamixelDevice:
         if self._watches() and now - self.heard > period:
             self.life.run(self.heard + period)
             self._trip()
-        while self._overload.trips(self.motor, now - self.life.powered, high=self._loaded, lasting=OVERLOADED):
+        while self.life.overloads(now, self._loaded, OVERLOADED):
             self.fail(OVERLOAD)
         if self.motor.temperature > self.registers.get("temperature_limit"):
             self.fail(OVERHEAT)

@@ -27,7 +27,6 @@ from sim_backend.wire.life import Life
 from sim_backend.wire.loadcell.joint_torque import JointTorque
 from sim_backend.wire.packets.bus import LineSettings
 from sim_backend.wire.packets.frames import BROADCAST, Frame, Instruction
-from sim_backend.wire.packets.overload import Overload
 from sim_backend.wire.packets.registers import Item, Registers
 from sim_backend.wire.packets.regulator import (
     CURRENT,
@@ -91,7 +90,7 @@ class FeetechDevice:
         self.life = Life(self.motor, now)
         self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
-        self._overload, self._resisted = Overload(), 0.0
+        self._resisted = 0.0
         self._limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
         self._centre = 1023 // 2 if self.model.big else 0
         major, minor = firmware or self.model.firmware
@@ -135,8 +134,7 @@ class FeetechDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
-        lasting = self.get("protection_time") * 0.01
-        while self._overload.trips(self.motor, now - self.life.powered, high=self._loaded, lasting=lasting):
+        while self.life.overloads(now, self._loaded, self.get("protection_time") * 0.01):
             self._resisted = math.copysign(1.0, self.motor.torque)
             self.fail(OVERLOAD)
         if self.motor.temperature > self.get("temperature_limit"):
