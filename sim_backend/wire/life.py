@@ -19,8 +19,10 @@ _LOOK = 0.05
 class Life:
     """The life of an emulated drive whose `motor` is powered at `now`. Times are s on the clock of the drive's bus.
 
-    powered: the time at which the drive was made. watches: a function that returns whether the drive's watchdog is
-    active, 0 if not; None: the drive has no watchdog. tripped: the same for whether it has stopped the drive.
+    powered: the time at which the drive was made. booted: when it was powered last. ready: when that boot ends, before
+    which it does not reply. heard: when it last received what feeds its watchdog. watches: a function that returns
+    whether the watchdog is active, 0 if not; None: there is none. tripped: the same for whether it stopped the drive.
+    ignores_off: whether a torque-off is acknowledged but not carried out: a fault for tests.
     """
 
     def __init__(
@@ -31,9 +33,10 @@ class Life:
         tripped: Callable[[], float] = lambda: 0,
     ) -> None:
         self.motor = motor
-        self.powered = now
+        self.powered = self.booted = self.ready = self.heard = now
         self._watches, self._tripped = watches, tripped
         self._strained = math.inf
+        self.ignores_off = False
 
     @property
     def now(self) -> float:
@@ -50,6 +53,22 @@ class Life:
     def run(self, until: float) -> None:
         """Simulate the motor up to `until`. Has no effect if this time has passed."""
         self.motor.run(until - self.powered)
+
+    def lapses(self, now: float, timeout: float) -> bool:
+        """Simulate the motor up to the time at which an active watchdog acts, `timeout` s after the drive last heard
+        something, if this is before `now`. Return whether the watchdog acts.
+        """
+        silent = self._watches is not None and self._watches() and now - self.heard > timeout
+        if not silent or self.motor.watchdog_broken:
+            return False
+        self.run(self.heard + timeout)
+        return True
+
+    def boot(self, now: float, lasting: float) -> None:
+        """Cut the power at `now`: the torque goes off, and the drive does not reply for `lasting` s."""
+        self.motor.disable()
+        self.booted = self.heard = now
+        self.ready = now + lasting
 
     def overloads(self, until: float, high: Callable[[], bool], lasting: float) -> bool:
         """Simulate the motor up to `until`, or until its output has been too high for `lasting` s. Return whether it

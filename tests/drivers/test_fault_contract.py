@@ -245,8 +245,8 @@ def warms_to(temperature: float) -> Callable[[Rig], None]:
     return warm
 
 
-def sets(name: str) -> Callable[[Rig], None]:
-    return lambda rig: setattr(rig.device, name, True)
+def ignores_off(rig: Rig) -> None:
+    rig.device.life.ignores_off = True
 
 
 def another(make: Callable[[], Any], **different: Any) -> Callable[[Rig], Any]:
@@ -339,7 +339,7 @@ def an_odrive(firmware: str, **changes: Any) -> Drive:
         fresh=odrive_ages,
         restarted=ODRIVE_RESTARTED,
         left_on=lambda rig: rig.device._request_state(odrive_states.CLOSED_LOOP),
-        ignore_off=sets("ignores_idle"),
+        ignore_off=ignores_off,
         damages=cut_short(0, 3, 7),
         lates=each(0.001, 0.026, 0.001),
         random=SHARED,
@@ -371,7 +371,7 @@ def a_mit_motor(model: str, **changes: Any) -> Drive:
         fresh=mit_ages,
         restarted=MIT_RESTARTED,
         left_on=lambda rig: rig.motor.enable(),
-        ignore_off=sets("ignores_off"),
+        ignore_off=ignores_off,
         damages=cut_short(0, 3, 7),
         lates=each(0.001, 0.027, 0.001),
         random=(DelayReplies, DropReplies, TruncateReplies, DropRequests),
@@ -425,7 +425,7 @@ SERVO = Drive(
     fresh=of_registers,
     restarted=dynamixel.RESTARTED,
     left_on=servo_left_on,
-    ignore_off=sets("ignores_torque_off"),
+    ignore_off=ignores_off,
     damages=(CorruptReplies(), *cut_short(20, 37, 5)),
     lates=each(0.0075, 0.06, 0.0005),
     random=(*SHARED, CorruptReplies, NoiseBefore),
@@ -453,7 +453,7 @@ FEETECH = Drive(
     fresh=feetech_ages,
     restarted=feetech.RESTARTED,
     left_on=lambda rig: rig.device.write(40, b"\x01"),
-    ignore_off=sets("ignores_torque_off"),
+    ignore_off=ignores_off,
     damages=(CorruptReplies(), *cut_short(20, 10, 5)),
     lates=each(0.0075, 0.06, 0.0005),
     random=(*SHARED, CorruptReplies, NoiseBefore),
@@ -479,7 +479,7 @@ MOTEUS = Drive(
     fresh=moteus_ages,
     restarted=MOTEUS_RESTARTED,
     left_on=moteus_left_on,
-    ignore_off=sets("ignores_stop"),
+    ignore_off=ignores_off,
     damages=cut_short(0, 2, 3, 13, 14, 20, 30),
     lates=(*each(0.001, 0.03, 0.001), 0.05, 0.08),
     late_count=3,
@@ -509,7 +509,7 @@ ROBSTRIDE = Drive(
     fresh=robstride_ages,
     restarted=robstride_frames.RESTARTED,
     left_on=lambda rig: rig.motor.enable(),
-    ignore_off=sets("ignores_stop"),
+    ignore_off=ignores_off,
     damages=cut_short(0, 3, 7),
     lates=each(0.001, 0.027, 0.001),
     random=(DelayReplies, DropReplies, TruncateReplies, DropRequests),

@@ -81,7 +81,7 @@ def test_a_torque_off_switches_off_all_servos_of_the_hand_with_one_packet_and_op
 def test_every_servo_that_does_not_confirm_is_named_and_the_others_are_off(family: Family) -> None:
     rig, servo = hand_of(family)
     servo.arm(family.limits)
-    rig.bus.devices[1].ignores_torque_off = rig.bus.devices[3].ignores_torque_off = True
+    rig.bus.devices[1].life.ignores_off = rig.bus.devices[3].life.ignores_off = True
     with pytest.raises(DriverError, match=r"servo 2 .joint 2. is still on; servo 4 .joint 4. is still on"):
         servo.disarm()
     assert on(rig) == [2, 4]
@@ -91,7 +91,7 @@ def test_every_servo_that_does_not_confirm_is_named_and_the_others_are_off(famil
 def test_the_alarm_names_them_although_the_last_request_had_no_time_for_its_replies() -> None:
     rig, servo = hand_of(FAMILIES["feetech"])
     servo.arm(FEETECH_LIMITS)
-    rig.bus.devices[1].ignores_torque_off = True
+    rig.bus.devices[1].life.ignores_off = True
     alarms: list[str] = []
     assert not confirm_torque_off(servo, alarm=alarms.append).confirmed
     assert "CUT THE POWER: the torque-off is not confirmed (servo 2 (joint 2) is still on)" in alarms[0]

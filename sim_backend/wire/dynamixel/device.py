@@ -83,8 +83,6 @@ class DynamixelDevice:
         """Whether the watchdog register trips but the motor turns on, as seen on the 330 series,
         forum.robotis.com/t/4814.
         """
-        self.ignores_torque_off = False
-        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
 
     @property
     def line(self) -> LineSettings:
@@ -313,7 +311,7 @@ class DynamixelDevice:
     def _torque(self, *, on: bool) -> None:
         if on and self.registers.get("hardware_error_status") & self.registers.get("shutdown"):
             on = False  # a servo that shut down stays off until it is rebooted
-        if not on and self.ignores_torque_off and self.motor.enabled:
+        if not on and self.life.ignores_off and self.motor.enabled:
             self.registers.put("torque_enable", 1)
             return
         if on and not self.motor.enabled:

@@ -55,8 +55,6 @@ class MxDevice:
         self.motor = PlantMotor(joint_at_horn(self.model, parameters), Regulator(self.model))
         self.errors = 0
         """The present hardware errors, as bits of the error byte."""
-        self.ignores_torque_off = False
-        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
         self.life = Life(self.motor, now)
         self._booted = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
@@ -198,7 +196,7 @@ class MxDevice:
         return self.get("cw_angle_limit") == self.get("ccw_angle_limit") == _MULTI_TURN
 
     def _torque(self, *, on: bool) -> None:
-        if not on and self.ignores_torque_off and self.motor.enabled:
+        if not on and self.life.ignores_off and self.motor.enabled:
             self.put("torque_enable", 1)
         elif on and not self.motor.enabled:
             self.motor.enable()

@@ -85,8 +85,6 @@ class FeetechDevice:
         self.motor = PlantMotor(plant, Regulator(self.model), self.joint.note)
         self.errors = 0
         """The present errors, as bits of the status."""
-        self.ignores_torque_off = False
-        """Whether torque-off is acknowledged but not carried out: a fault for tests."""
         self.life = Life(self.motor, now)
         self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
@@ -309,7 +307,7 @@ class FeetechDevice:
         elif wanted == 1 and not self.errors & self.get("unloading_condition") & ~OVERLOAD:
             if not self.motor.enabled:
                 self.motor.enable()
-        elif wanted == 0 and self.ignores_torque_off and self.motor.enabled:
+        elif wanted == 0 and self.life.ignores_off and self.motor.enabled:
             self.put("torque_enable", 1)
         else:
             self.motor.disable()

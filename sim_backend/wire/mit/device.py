@@ -83,13 +83,9 @@ class MitDevice:
         self.error = 0
         self.refused: set[int] = set()
         """Registers whose writes are acknowledged but not carried out: a fault for tests."""
-        self.ignores_off = False
-        """Whether leaving motor mode is acknowledged but not carried out: a fault for tests."""
         self._zero = 0.0
         watches = (lambda: self.motor.enabled and self.values[9]) if self.damiao else None
         self.life = Life(self.motor, now, watches, lambda: self.error == LOST_COMMUNICATION)
-        self._ready = now
-        self._heard = now
         self._report_due = now if servo else math.inf
 
     @property
@@ -113,14 +109,12 @@ class MitDevice:
         self.advance(now)
         if self._report_due > now:
             return []
-        self._report_due = max(self._ready, now) + servo_mode.UPLOAD
+        self._report_due = max(self.life.ready, now) + servo_mode.UPLOAD
         return [servo_mode.report(self.ident, self.motor, self.model, self._zero, self.error)]
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
-        timeout = self.values[9] * TIMEOUT_LSB if self.damiao else 0.0
-        if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
-            self.life.run(self._heard + timeout)
+        if self.damiao and self.life.lapses(now, self.values[9] * TIMEOUT_LSB):
             self.fail(LOST_COMMUNICATION)
         self.life.run(now)
         if self.motor.temperature > (self.values[2] if self.damiao else _AK_HOTTEST):
@@ -133,17 +127,16 @@ class MitDevice:
 
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
-        self.motor.disable()
+        self.life.boot(now, BOOT)
         self.error = 0
         self.values = dict(self._stored)
         if not self.damiao:
             turn = 2.0 * math.pi / self.model.gear
             self._zero += round((self.motor.position - self._zero) / turn) * turn
-        self._ready = now + BOOT
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
-        if frame.remote or frame.error or now < self._ready:
+        if frame.remote or frame.error or now < self.life.ready:
             return []
         self.advance(now)
         if self._report_due < math.inf:
@@ -155,7 +148,7 @@ class MitDevice:
             return self._register(frame.data, now)
         if frame.ident not in self._listens():
             return []
-        self._heard = now
+        self.life.heard = now
         if frame.data[:7] == b"\xff" * 7 and frame.data[7] >= 0xFB:
             self._special(frame.data[7])
         elif self.motor.enabled:
@@ -180,7 +173,7 @@ class MitDevice:
     def _special(self, code: int) -> None:
         if code == 0xFC and not self.error:
             self.motor.enable()
-        elif code == 0xFD and not self.ignores_off:
+        elif code == 0xFD and not self.life.ignores_off:
             self.motor.disable()
         elif code == 0xFE and not self.motor.enabled:
             self._zero = self.motor.position
@@ -245,7 +238,7 @@ class MitDevice:
         """Execute a register request of a Damiao: read (33), write (55), store (AA), or send the state (CC)."""
         if int.from_bytes(data[:2], "little") != self.ident:
             return []
-        self._heard = now
+        self.life.heard = now
         command, number = data[2], data[3]
         reply_id = int(self.values[7])
         if command == 0xCC:

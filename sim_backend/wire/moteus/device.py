@@ -92,16 +92,12 @@ class MoteusDevice:
         self.identity |= {0x150 + i: 0x01020304 * (i + 1) for i in range(4)}
         self.unknown: set[int] = set()
         """Registers that the emulated firmware does not have."""
-        self.ignores_stop = False
-        """Whether a stop is acknowledged but not carried out: a fault for tests."""
         self.life = Life(self.motor, now, self._watches, lambda: self.mode == TIMEOUT)
         self._offset = 0.0
-        self._restart(now)
+        self._restart()
 
-    def _restart(self, now: float) -> None:
+    def _restart(self) -> None:
         self.mode, self.fault = STOPPED, 0
-        self._booted = self._heard = now
-        self._ready = now
         self.command.clear()
         self.command.forget()
         self._steps = 0
@@ -130,11 +126,10 @@ class MoteusDevice:
 
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the contents of the RAM, and do not reply until the boot has ended."""
-        self.motor.disable()
+        self.life.boot(now, BOOT)
         self.console.load()
-        self._restart(now)
+        self._restart()
         self._offset = self.motor.position - (self.motor.position % TURN)
-        self._ready = now + BOOT
 
     def fail(self, code: int) -> None:
         """Enter the fault mode with the fault `code`; the torque goes off."""
@@ -143,9 +138,7 @@ class MoteusDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
-        timeout = self._timeout()
-        if self.mode in TIMED and now - self._heard > timeout and not self.motor.watchdog_broken:
-            self.life.run(self._heard + timeout)
+        if self.life.lapses(now, self._timeout()):
             self._time_out()
         self.life.run(now)
         get = self.console.values.get
@@ -156,7 +149,7 @@ class MoteusDevice:
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
         source, target = frame.ident >> 8 & 0xFF, frame.ident & 0x7F
-        if frame.remote or frame.error or now < self._ready or target not in {self.ident, 0x7F}:
+        if frame.remote or frame.error or now < self.life.ready or target not in {self.ident, 0x7F}:
             return []
         self.advance(now)
         out = b"".join(self._done(subframe, now) for subframe in Reader(frame.data).subframes())
@@ -217,7 +210,7 @@ class MoteusDevice:
             0x00E: self.motor.temperature,
             0x00F: float(self.fault or self._limiting()),
             0x03A: self.motor.demand,
-            0x070: math.floor((now - self._booted) * 1e3 + 1e-9),
+            0x070: math.floor((now - self.life.booted) * 1e3 + 1e-9),
         }
         if number in live:
             return live[number]
@@ -248,7 +241,7 @@ class MoteusDevice:
         if mode == STOPPED:
             self._stop()
         elif mode in RUNNING | _PHASES and self.mode not in {FAULT, TIMEOUT}:
-            self._heard = now
+            self.life.heard = now
             self._steps += 1
             if self.mode == STOPPED and mode in TIMED and self._outside():
                 self.fail(OUTSIDE_LIMIT)
@@ -266,7 +259,7 @@ class MoteusDevice:
         return self.turns < low or self.turns > high
 
     def _stop(self) -> None:
-        if self.ignores_stop:
+        if self.life.ignores_off:
             return
         self.mode, self.fault, self._steps = STOPPED, 0, 0
         self.motor.disable()

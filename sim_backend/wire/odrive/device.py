@@ -88,15 +88,12 @@ class OdriveDevice:
         self.state = IDLE
         self.errors = 0
         self.disarm_reason = 0
-        self.ignores_idle = False
-        """Whether a request for the state idle is accepted but not carried out: a fault for tests."""
         self.calibrated = True
         self.life = Life(self.motor, now, self._watched, lambda: self.errors & WATCHDOG[self.layout])
         self._message = self._messages()
         self._start(now)
 
     def _start(self, now: float) -> None:
-        self._ready = self._fed = now
         self._next = {"heartbeat": now + 0.01 * (1 + self.ident % 7), "encoder": now + 0.013, "torques": now + 0.017}
         """Time at which each cyclic message is sent next, s."""
         self._introduces = math.inf
@@ -134,7 +131,7 @@ class OdriveDevice:
         if self._introduces <= now:
             self._introduces = math.inf
             out.append(self._frame(_ADDRESS, self._message[_ADDRESS]()))
-        return out if now >= self._ready else []
+        return out if now >= self.life.ready else []
 
     @property
     def _nameless(self) -> bool:
@@ -148,9 +145,7 @@ class OdriveDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
-        timeout = self.endpoints.get("axis0.config.watchdog_timeout")
-        if self._watched() and now - self._fed > timeout and not self.motor.watchdog_broken:
-            self.life.run(self._fed + timeout)
+        if self.life.lapses(now, self.endpoints.get("axis0.config.watchdog_timeout")):
             self.fail(WATCHDOG[self.layout])
         self.life.run(now)
         if self.state != CLOSED_LOOP:
@@ -169,11 +164,11 @@ class OdriveDevice:
     def reboot(self, now: float) -> None:
         """Lose the RAM and the position, switch the torque off, and do not reply until the boot has ended."""
         self._go_idle()
+        self.life.boot(now, BOOT)
         self.errors = self.disarm_reason = 0
         self._start(now)
         self._offset = self.motor.position
-        self._ready = now + BOOT
-        self._next = dict.fromkeys(self._next, self._ready)
+        self._next = dict.fromkeys(self._next, self.life.ready)
 
     def fail(self, bits: int) -> None:
         """Latch the errors `bits` and disarm the axis."""
@@ -185,12 +180,12 @@ class OdriveDevice:
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
         mine = {self.ident, BROADCAST} if self.layout == "0.6" else {self.ident}
-        if frame.extended or frame.error or frame.ident >> 5 not in mine or now < self._ready:
+        if frame.extended or frame.error or frame.ident >> 5 not in mine or now < self.life.ready:
             return []
         command = frame.ident & 0x1F
         self.advance(now)
         if self.layout == "0.5" or command in {0x07, 0x0C, 0x0D, 0x0E}:
-            self._fed = now
+            self.life.heard = now
         if command == _ADDRESS and frame.data:
             self._address(frame.data)
             return []
@@ -338,7 +333,7 @@ class OdriveDevice:
 
     def _request_state(self, state: int) -> None:
         """End the present procedure and begin `state`; 0 requests nothing."""
-        if state == 0 or (state == IDLE and self.ignores_idle):
+        if state == 0 or (state == IDLE and self.life.ignores_off):
             return
         old = self.layout == "0.5"
         self.errors &= ~_INVALID_STATE if old else ~0

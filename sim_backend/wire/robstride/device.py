@@ -52,8 +52,8 @@ class RobstrideDevice:
     """An emulated motor of `model` (a key of `tables.MODELS`). Times are s on the bus's clock.
 
     firmware: four numbers; None: the table's. serial: serial number, 64 bits. protocol: the protocol at the start.
-    values: the parameters' values by name. refused: parameters whose writes get a reply but have no effect.
-    ignores_stop: whether a stop gets a reply but has no effect. Raises KeyError for a model that is not in the table.
+    values: the parameters' values by name. refused: parameters whose writes get a reply but have no effect. Raises
+    KeyError for a model that is not in the table.
     """
 
     def __init__(
@@ -84,7 +84,6 @@ class RobstrideDevice:
         self._damping = max(SPEED_GAIN * row.span[1], SPEED_RATE * self.motor.inertia)
         self.faults = 0
         self.refused: set[str] = set()
-        self.ignores_stop = False
         self._tripped = False
         self._rate = self._next_rate = 1
         self._zero, self._host = 0.0, 0xFD
@@ -92,7 +91,6 @@ class RobstrideDevice:
         self.life = Life(
             self.motor, now, lambda: self.motor.enabled and self.values["canTimeout"], lambda: self._tripped
         )
-        self._ready = self._heard = now
         self._fault_due = self._report_due = math.inf
 
     @property
@@ -118,9 +116,7 @@ class RobstrideDevice:
 
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
-        timeout = self.values["canTimeout"] * TIMEOUT_LSB
-        if self.motor.enabled and 0.0 < timeout < now - self._heard and not self.motor.watchdog_broken:
-            self.life.run(self._heard + timeout)
+        if self.life.lapses(now, self.values["canTimeout"] * TIMEOUT_LSB):
             self._tripped = True
             self.motor.disable()
         self.life.run(now)
@@ -135,18 +131,17 @@ class RobstrideDevice:
 
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
-        self.motor.disable()
+        self.life.boot(now, BOOT)
         self.faults, self._tripped, self._host = 0, False, 0xFD
         self.values = dict(self._saved)
         self.protocol, self._rate = self._next_protocol, self._next_rate
         turn, low = 2.0 * math.pi, -math.pi if self.values["zero_sta"] else 0.0
         self._zero += math.floor((self.angle - low) / turn) * turn
         self._fault_due = self._report_due = math.inf
-        self._ready = now + BOOT
 
     def handle(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Return the replies to a frame."""
-        if frame.remote or frame.error or frame.fd or now < self._ready or self._rate != 1:
+        if frame.remote or frame.error or frame.fd or now < self.life.ready or self._rate != 1:
             return []
         self.advance(now)
         data = frame.data.ljust(8, b"\0")
@@ -154,7 +149,7 @@ class RobstrideDevice:
             return self._canopen(frame, data)
         if frame.extended != (self.protocol == PRIVATE) or frame.ident & 0xFF != self.ident:
             return []
-        self._heard, self._tripped = now, False
+        self.life.heard, self._tripped = now, False
         if self.protocol == MIT:
             return [self._mit(frame.ident >> 8, data)]
         return self._private(frame.ident >> 24, frame.ident >> 8, data)
@@ -202,7 +197,7 @@ class RobstrideDevice:
             self.values |= {"iq_ref": 0.0, "spd_ref": 0.0, "loc_ref": self.angle}
             self._follow()
         elif kind == 4:
-            if not self.ignores_stop:
+            if not self.life.ignores_off:
                 self.motor.disable()
             if data[0] == 1 and self.motor.temperature <= self.model.hottest:
                 self.faults = 0
@@ -219,7 +214,7 @@ class RobstrideDevice:
         elif kind == 23 and 1 <= choice <= 4:
             self._next_rate = choice
         elif kind == 24:
-            self._report_due = self._heard + self._interval if choice else math.inf
+            self._report_due = self.life.heard + self._interval if choice else math.inf
         elif kind == 25 and choice <= MIT:
             self._next_protocol = choice
 

@@ -406,7 +406,7 @@ def test_a_torque_that_does_not_go_off_is_reported(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     servo = rig.open()
     servo.arm(LIMITS)
-    rig.device.ignores_torque_off = True
+    rig.device.life.ignores_off = True
     with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
 

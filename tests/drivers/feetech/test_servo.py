@@ -171,10 +171,10 @@ def test_nothing_but_0_and_1_is_ever_written_to_torque_enable(make_feetech: Make
     servo = rig.open(torque_constant=None if model == "scs0009" else 1.0, mode="position")
     servo.arm(LIMITS)
     drive(rig, servo, Command.rest())
-    rig.device.ignores_torque_off = True
+    rig.device.life.ignores_off = True
     with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
-    rig.device.ignores_torque_off = False
+    rig.device.life.ignores_off = False
     servo.close()
     values = {data for address, data in written(rig.port.sent) if address == TORQUE_ENABLE}
     assert values == {b"\x00", b"\x01"}
@@ -189,7 +189,7 @@ def test_a_torque_off_that_is_not_done_is_followed_by_a_torque_limit_of_zero_tha
     servo.arm(LIMITS)
     drive(rig, servo, position(0.5), ticks=200)
     assert rig.motor.torque > 0.0
-    rig.device.ignores_torque_off = True
+    rig.device.life.ignores_off = True
     servo.close()
     rig.wait(0.2)
     assert rig.device.get("torque_limit") == 0

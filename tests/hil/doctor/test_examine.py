@@ -171,7 +171,7 @@ def test_a_watchdog_that_does_not_trip_is_an_error(
 
 def test_a_torque_that_does_not_go_off_raises_the_alarm(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
     rig = make_rig()
-    rig.device.ignores_torque_off = True
+    rig.device.life.ignores_off = True
     checks = examine_rig(rig, move=False)
     assert verdicts(checks)["torque off"] == "error"
     assert "CUT THE POWER" in message(checks, "torque off")
