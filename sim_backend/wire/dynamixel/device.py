@@ -73,9 +73,6 @@ class DynamixelDevice:
         self.motor = PlantMotor(joint_at_horn(self.model, parameters), Regulator(self.model))
         self._firmware = self.registers.get("firmware_version")
         self.life = Life(self.motor, now, self._watches, lambda: self.tripped)
-        self._booted = now
-        self.ready = now
-        self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._turns_off = 0
         self.registers.put("goal_position", self._position())
@@ -118,8 +115,8 @@ class DynamixelDevice:
     def advance(self, now: float) -> None:
         """Simulate motor and watchdog up to `now`."""
         period = self.registers.get("bus_watchdog") * 0.02
-        if self._watches() and now - self.heard > period:
-            self.life.run(self.heard + period)
+        if self._watches() and now - self.life.heard > period:
+            self.life.run(self.life.heard + period)
             self._trip()
         while self.life.overloads(now, self._loaded, OVERLOADED):
             self.fail(OVERLOAD)
@@ -140,13 +137,10 @@ class DynamixelDevice:
 
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the contents of the RAM, and do not reply until the boot has ended."""
-        self._torque(on=False)
-        self.motor.disable()
+        self.life.boot(now, BOOT)
         self._table.power_up()
         self.registers.put("goal_position", self._position())
         self._registered = None
-        self._booted = now
-        self.ready = now + BOOT
 
     def answer(self, frame: Frame, now: float) -> tuple[int, bytes] | None:
         """Execute `frame`, which is sent to this id or to all. Return the error byte and the parameters of the reply,
@@ -351,7 +345,7 @@ class DynamixelDevice:
     def _refresh(self, now: float) -> None:
         """Write the present values at `now` (position, current ...) to the control table."""
         r, motor, sign = self.registers, self.motor, self._sign()
-        r.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
+        r.put("realtime_tick", int((now - self.life.booted) * 1e3) % 32768)
         velocity = round(sign * motor.velocity / RPM)
         r.put("moving", int(abs(velocity) > r.get("moving_threshold")))
         r.put("present_pwm", round(sign * motor.law.duty(motor) / _PWM_LSB))

@@ -56,7 +56,6 @@ class MxDevice:
         self.errors = 0
         """The present hardware errors, as bits of the error byte."""
         self.life = Life(self.motor, now)
-        self._booted = self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self.put("id", ident)
         self.put("baud_rate", next(code for code, rate in MX_BAUD.items() if rate == baudrate))
@@ -99,13 +98,12 @@ class MxDevice:
 
     def reboot(self, now: float) -> None:
         """Cut the servo's power for a moment: the torque goes off and the contents of the RAM are lost."""
-        self.motor.disable()
+        self.life.boot(now, BOOT)
         self.errors = 0
         self._registered = None
         self.registers.reset(MX_EEPROM_END)
         self.put("torque_limit", self.get("max_torque"))
         self.put("goal_position", self._position())
-        self._booted, self.ready = now, now + BOOT
 
     def alerted(self, error: int) -> int:
         """Return the error byte: the error of the instruction together with the hardware errors."""
@@ -225,7 +223,7 @@ class MxDevice:
     def _refresh(self, now: float) -> None:
         """Write the present values at `now` (position, current ...) to the control table."""
         motor = self.motor
-        self.put("realtime_tick", int((now - self._booted) * 1e3) % 32768)
+        self.put("realtime_tick", int((now - self.life.booted) * 1e3) % 32768)
         self.put("present_position", self._position())
         speed = round(motor.velocity / MX_RPM)
         self.put("present_speed", _directed(speed))

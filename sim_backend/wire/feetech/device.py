@@ -86,7 +86,6 @@ class FeetechDevice:
         self.errors = 0
         """The present errors, as bits of the status."""
         self.life = Life(self.motor, now)
-        self.ready = self.heard = now
         self._registered: tuple[int, bytes] | None = None
         self._resisted = 0.0
         self._limit = "torque_limit" if self.registers.has("torque_limit") else "max_torque"
@@ -153,9 +152,9 @@ class FeetechDevice:
             self.put("torque_enable", 0)
         self._hand_over_goals()
 
-    def reboot(self, now: float) -> None:
+    def reboot(self, now: float, lasting: float = BOOT) -> None:
         """Cut the servo's power for a moment: the torque goes off and the contents of the RAM are lost."""
-        self.motor.disable()
+        self.life.boot(now, lasting)
         self.errors = 0
         self._registered = None
         self.registers.reset(EEPROM_END)
@@ -163,7 +162,6 @@ class FeetechDevice:
         for name, stored in _LOADED.items():
             self.put(name, self.get(stored))
         self._forget_turns()
-        self.ready = now + BOOT
 
     def alerted(self, error: int) -> int:
         """Return the error byte of a reply: the servo's present errors. `error` is ignored, because instructions have
@@ -251,8 +249,7 @@ class FeetechDevice:
             case n if n == _CALIBRATE:
                 return self._calibrate(p)
             case n if n == _REBOOT:
-                self.reboot(now)
-                self.ready = now + RESTART
+                self.reboot(now, RESTART)
                 return False
             case _:
                 return False

@@ -65,13 +65,9 @@ class LineSettings(NamedTuple):
 
 
 class PacketServo(Protocol):
-    """The interface between a line and an emulated servo. ready: s, when the servo's boot ends. heard: s, when the line
-    last carried a request.
-    """
+    """The interface between a line and an emulated servo. Every request on the line feeds the servo's watchdog."""
 
     life: Life
-    ready: float
-    heard: float
 
     @property
     def line(self) -> LineSettings:
@@ -149,9 +145,9 @@ class PacketBus:
 
     def _execute(self, frame: Frame, now: float, baudrate: int | None) -> list[Reply]:
         self.advance(now)
-        awake = [d for d in self.devices if now >= d.ready and baudrate in {None, d.line.baudrate}]
+        awake = [d for d in self.devices if now >= d.life.ready and baudrate in {None, d.line.baudrate}]
         for device in awake:
-            device.heard = now
+            device.life.heard = now
         if frame.id != BROADCAST:
             return self._addressed(frame, awake, now)
         if not frame.sound:

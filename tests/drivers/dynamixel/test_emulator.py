@@ -70,7 +70,7 @@ def test_the_watchdog_goes_through_the_eight_steps_of_the_manuals_example() -> N
     device.advance(1.0)
     assert device.motor.velocity > 0.0
     device.write(WATCHDOG, b"\x64")  # 2 s
-    device.heard = 1.0
+    device.life.heard = 1.0
     device.advance(2.9)
     assert device.registers.get("bus_watchdog") == 100
     device.advance(8.0)
