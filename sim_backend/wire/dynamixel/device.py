@@ -76,10 +76,6 @@ class DynamixelDevice:
         self._registered: tuple[int, bytes] | None = None
         self._turns_off = 0
         self.registers.put("goal_position", self._position())
-        self.watchdog_broken = False
-        """Whether the watchdog register trips but the motor turns on, as seen on the 330 series,
-        forum.robotis.com/t/4814.
-        """
 
     @property
     def line(self) -> LineSettings:
@@ -106,11 +102,6 @@ class DynamixelDevice:
 
     def _watches(self) -> bool:
         return self.motor.enabled and self.registers.get("bus_watchdog") > 0
-
-    @property
-    def torque_on(self) -> bool:
-        """Return whether current can flow."""
-        return self.motor.enabled
 
     def advance(self, now: float) -> None:
         """Simulate motor and watchdog up to `now`."""
@@ -317,7 +308,7 @@ class DynamixelDevice:
 
     def _trip(self) -> None:
         self.registers.put("bus_watchdog", -1)
-        if self.watchdog_broken or self.motor.watchdog_broken:
+        if self.motor.watchdog_broken:  # as seen on the 330 series, forum.robotis.com/t/4814
             return
         self.registers.put("goal_velocity", 0)
         self.registers.put("goal_position", self._position())

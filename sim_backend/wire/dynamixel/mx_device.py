@@ -75,11 +75,6 @@ class MxDevice:
         delay = get("return_delay_time") * 2e-6
         return LineSettings(get("id"), baudrate, delay, get("status_return_level"), together=together)
 
-    @property
-    def torque_on(self) -> bool:
-        """Return whether current can flow."""
-        return self.motor.enabled
-
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now`. Over-temperature is an error only while it lasts."""
         self.life.run(now)

@@ -51,7 +51,7 @@ def test_with_the_torque_on_both_fail(request_: bytes) -> None:
     answered(bus, STORE, 0.05)
     device.write(64, b"\x01")
     assert answered(bus, request_, 0.1) == status(1, Error.RESULT_FAIL)
-    assert device.torque_on
+    assert device.motor.enabled
 
 
 @pytest.mark.parametrize("parameters", [b"", b"\x01", b"\x03CTRL", b"\x01ctrl", b"\x01CTRL\x00"])
@@ -88,7 +88,7 @@ def test_an_mx_with_firmware_40_or_later_reboots(model: str) -> None:
     bus = PacketBus([device], protocol=1)
     device.write(24, b"\x01")
     assert answered(bus, mx_packet(1, 2, 0x08), 0.1) == mx_packet(1, 2, 0)
-    assert not device.torque_on
+    assert not device.motor.enabled
     assert answered(bus, mx_packet(1, 2, 0x01), 0.15) == b""
     assert answered(bus, mx_packet(1, 2, 0x01), 0.2 + BOOT) == mx_packet(1, 2, 0)
 
@@ -97,4 +97,4 @@ def test_an_older_mx_refuses_to_reboot() -> None:
     device = MxDevice("mx-64", firmware=39)
     device.write(24, b"\x01")
     assert answered(PacketBus([device], protocol=1), mx_packet(1, 2, 0x08), 0.1) == mx_packet(1, 2, 0x40)
-    assert device.torque_on
+    assert device.motor.enabled

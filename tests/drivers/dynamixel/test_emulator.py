@@ -214,8 +214,8 @@ def test_a_goal_switches_the_torque_on_where_the_drive_mode_says_so_and_the_off_
     assert rig.device.write(10, b"\x08") == Error.NONE
     servo = rig.open()
     assert put(rig.device, GOAL_POSITION, 100) == Error.NONE
-    assert rig.device.torque_on
+    assert rig.device.motor.enabled
     for frame in servo.off_path().off:
         rig.bus.receive(frame, rig.clock.now())
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
     servo.close()

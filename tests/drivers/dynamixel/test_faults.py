@@ -18,6 +18,7 @@ from drivers.dynamixel.faults import RESTARTED
 from drivers.dynamixel.models import POSITION_LSB
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
+from sim_backend.fault_plan import FaultPlan, PlannedFault
 from sim_backend.wire.dynamixel.device import DynamixelDevice
 from sim_backend.wire.faults import NoiseBefore, Unplug
 from sim_backend.wire.packets.bus import PacketBus, Reply
@@ -181,7 +182,7 @@ def test_a_line_that_never_falls_silent_is_named_and_does_not_hold_us(rig: Rig, 
     assert rig.clock.now() - begin < 0.5
     with pytest.raises(DriverError, match="cut the drive's power"):
         servo.disarm()
-    assert not rig.device.torque_on  # it received the request, though its replies were lost
+    assert not rig.device.motor.enabled  # it received the request, though its replies were lost
 
 
 @pytest.mark.parametrize("counts", [-131073, 0xFFFD - 0x10000, -3, -1])
@@ -215,13 +216,13 @@ def test_a_servo_that_restarts_between_two_ticks_is_noticed(rig: Rig, limits: Li
 
 def test_a_watchdog_that_does_not_stop_the_motor_is_still_noticed(rig: Rig, limits: Limits) -> None:
     servo = armed(rig, limits)
-    rig.device.watchdog_broken = True
+    rig.device.motor.follow_plan(FaultPlan([PlannedFault("broken-watchdog", at=0.0)]))
     rig.wait(0.2)
     assert rig.device.motor.torque > 0.0
     with pytest.raises(DeviceFault):
         servo.exchange(PUSH)
     servo.disarm()
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 def test_a_pulled_cable_is_a_lost_link_on_a_real_port(tmp_path: Path, limits: Limits) -> None:

@@ -297,7 +297,7 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_
     assert (device.get("cw_angle_limit"), device.get("ccw_angle_limit")) == (4095, 4095)
     servo.close()
     assert bytes(device.registers.memory[:24]) == before
-    assert not device.torque_on
+    assert not device.motor.enabled
 
 
 @pytest.mark.parametrize("torque_on", [0, 1])
@@ -311,12 +311,12 @@ def test_a_servo_that_confirms_no_writes_or_answers_no_reads_does_so_for_a_run_o
     device.write(24, bytes([torque_on]))
     before = bytes(device.registers.memory[:24])
     servo = rig.open()
-    assert (device.get("status_return_level"), device.torque_on) == (2, False)
+    assert (device.get("status_return_level"), device.motor.enabled) == (2, False)
     assert any(frame == servo._table.unanswered("status_return_level", level) for frame in servo.off_path().restore)
     servo.arm(LIMITS)
     servo.close()
     assert bytes(device.registers.memory[:24]) == before
-    assert not device.torque_on
+    assert not device.motor.enabled
 
 
 def test_a_mute_servo_that_is_not_the_stand_files_is_left_mute(make_rig: Make) -> None:
@@ -341,7 +341,7 @@ def test_after_torque_off_nothing_waits_to_act(make_rig: Make) -> None:
     servo.arm(LIMITS)
     drive(rig, servo, torque(0.3), ticks=3)
     servo.disarm()
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
     assert (rig.device.get("goal_torque"), rig.device.get("torque_control")) == (0, 0)
 
 
@@ -361,7 +361,7 @@ def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: 
     servo.disarm()
     with pytest.raises(DeviceFault):
         servo.arm(LIMITS)
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 def test_a_servo_that_restarts_is_a_fault(make_rig: Make) -> None:

@@ -45,11 +45,11 @@ def test_every_model_is_opened_armed_driven_and_closed(make_rig: Make, limits: L
     (quantity,) = servo.info.quantities
     generous = Limits(torque=0.5, velocity=3.0, temperature=60.0, position=limits.position)
     servo.arm(generous)
-    assert rig.device.torque_on
+    assert rig.device.motor.enabled
     last = drive(rig, servo, Command(quantity, 0.02))
     assert last.motor_position > 0.0
     servo.close()
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
     assert rig.port.closed
 
 
@@ -134,7 +134,7 @@ def test_arming_sends_no_current_though_a_change_of_mode_sets_the_goal_to_the_li
     rest = rig.device.motor.position
     servo.arm(limits)
     rig.wait(0.05)
-    assert rig.device.torque_on
+    assert rig.device.motor.enabled
     assert rig.device.motor.torque == 0.0
     assert rig.device.motor.position == rest
 

@@ -181,8 +181,8 @@ def test_beside_a_servo_that_holds_torque_nothing_is_driven_unless_the_stand_fil
         assert ("armed at zero torque" in said.out) == belongs
         bus: Any = line._peer
         own, other = bus.devices
-        assert other.torque_on
-        assert not own.torque_on
+        assert other.motor.enabled
+        assert not own.motor.enabled
 
 
 def test_record_without_a_drive_at_the_port_fails_as_a_stand_does_and_says_what_to_do(

@@ -263,8 +263,8 @@ def test_a_broken_watchdog_is_the_first_line_and_status_1_and_the_guardian_was_t
     stand, link = tmp_path / "stand.toml", tmp_path / "tty"
     table = f'[dynamixel]\nport = "{link}"\nmodel = "xl330-m288"\nwatchdog = 0.2\nreply_timeout = 0.05\n'
     stand.write_text(STAND.format(torque=0.03) + table)
-    with serve(link, "xl330-m288", timing=PacketTiming()) as line:
-        line._peer.devices[0].watchdog_broken = True  # type: ignore[attr-defined]
+    broken = FaultPlan([PlannedFault("broken-watchdog", at=0.0)])
+    with serve(link, "xl330-m288", timing=PacketTiming(), faults=broken) as line:
         status = run(["doctor", str(stand), "--commission", "--yes", "--rate", "100"])
         assert not line._peer.devices[0].motor.enabled  # type: ignore[attr-defined]
     said = capfd.readouterr()

@@ -101,7 +101,7 @@ def test_a_sound_stand_passes_every_check_is_left_with_its_torque_off_and_no_fil
     assert checks.bus is not None
     # 14 + 38 bytes at 1 Mbaud and 1 ms in the adapter, and the loopback reads in steps of its poll
     assert 400.0 < checks.bus.rate < 1.0 / (52e-5 + 1e-3)
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
     assert rig.port.closed
 
 
@@ -132,7 +132,7 @@ def test_a_joint_that_is_not_locked_is_an_error(make_rig: Callable[..., Any], ex
     checks = examine_rig(rig)
     assert verdicts(checks)["lock"] == "error"
     assert "lock the joint" in message(checks, "lock")
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 def test_limits_beyond_a_servos_overload_protection_are_a_warning_with_its_registers(
@@ -166,7 +166,7 @@ def test_a_watchdog_that_does_not_trip_is_an_error(
     checks = examine_rig(rig, move=False)
     assert verdicts(checks)["watchdog"] == "error"
     assert "keep a switch" in message(checks, "watchdog")
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 def test_a_torque_that_does_not_go_off_raises_the_alarm(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
@@ -185,7 +185,7 @@ def test_a_torque_off_that_is_not_confirmed_is_requested_again(
     refused: list[int] = []
 
     def unconfirmed(self: DynamixelServo) -> None:
-        if rig.device.torque_on and len(refused) < 5:
+        if rig.device.motor.enabled and len(refused) < 5:
             refused.append(1)
             raise DriverError("it is still on")
         disarm(self)
@@ -194,7 +194,7 @@ def test_a_torque_off_that_is_not_confirmed_is_requested_again(
     checks = examine_rig(rig, move=False)
     assert len(refused) == 5
     assert "torque off" not in verdicts(checks)
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 def test_a_latched_fault_is_reported_with_its_remedy(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
@@ -233,7 +233,7 @@ def test_a_signal_in_the_middle_of_the_jog_leaves_the_torque_off(
     pushes: list[float] = []
 
     def interrupting(self: DynamixelServo, command: Command) -> Sample:
-        if rig.device.torque_on and command.value:
+        if rig.device.motor.enabled and command.value:
             pushes.append(command.value)
             if len(pushes) == 500:
                 os.kill(os.getpid(), signal.SIGTERM)
@@ -243,7 +243,7 @@ def test_a_signal_in_the_middle_of_the_jog_leaves_the_torque_off(
     checks = examine_rig(rig)
     assert checks.signal == signal.SIGTERM
     assert "watchdog" not in verdicts(checks)
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 @pytest.mark.study
@@ -255,7 +255,7 @@ def test_servos_are_found_at_other_baud_rates_and_ids(make_rig: Callable[..., An
         "a xl330-m288 answers with id 7 at 57600 baud",
         "a xm430-w350 answers with id 9 at 57600 baud",
     ]
-    assert not any(device.torque_on for device in rig.bus.devices)
+    assert not any(device.motor.enabled for device in rig.bus.devices)
 
 
 def test_the_command_names_the_settings_at_which_a_servo_answers(
@@ -332,7 +332,7 @@ def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets
     assert opened[:2] == [500e-6, 0.0]
     assert rates[1] < rates[0] < 1.0 / (52e-5 + 1e-3)
     assert said.endswith("set dynamixel.return_delay = 0")
-    assert not rig.device.torque_on
+    assert not rig.device.motor.enabled
 
 
 @pytest.mark.study

@@ -46,7 +46,7 @@ def record(tmp_path: Path) -> Callable[..., int]:
         with serve(tmp_path / "tty", "xl330-m288") as line:
             status = run(["record", "--stand", str(path), *SINE, "-o", str(tmp_path / "a.h5"), *words])
             with line.lock:
-                assert not line._peer.devices[0].torque_on  # type: ignore[attr-defined]
+                assert not line._peer.devices[0].motor.enabled  # type: ignore[attr-defined]
         return status
 
     return call

@@ -57,7 +57,7 @@ def test_a_dynamixel_at_its_largest_output_switches_off_if_shutdown_says_so(shut
     servo.write(64, b"\1")
     servo.write(116, (1500).to_bytes(4, "little"))
     servo.advance(1.9)
-    assert servo.torque_on
+    assert servo.motor.enabled
     servo.advance(5.0)
-    assert servo.torque_on is on
+    assert servo.motor.enabled is on
     assert servo.registers.get("hardware_error_status") == dynamixel.OVERLOAD
