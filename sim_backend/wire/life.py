@@ -20,23 +20,25 @@ class Life:
     """The life of an emulated drive whose `motor` is powered at `now`. Times are s on the clock of the drive's bus.
 
     powered: the time at which the drive was made. booted: when it was powered last. ready: when that boot ends, before
-    which it does not reply. heard: when it last received what feeds its watchdog. watches: a function that returns
-    whether the watchdog is active, 0 if not; None: there is none. tripped: the same for whether it stopped the drive.
-    ignores_off: whether a torque-off is acknowledged but not carried out: a fault for tests.
+    which it does not reply. heard: when it last received what feeds its watchdog. lapsed: whether the watchdog has
+    acted since the motor was on. ignores_off: whether a torque-off is acknowledged but not carried out: a fault for
+    tests. watches: a function that returns whether the watchdog is active, 0 if not, None if the drive has none.
+    tripped: a function that returns whether the watchdog has stopped the drive, 0 if not; None: `lapsed` says so.
     """
 
     def __init__(
         self,
         motor: PlantMotor[Any],
         now: float,
-        watches: Callable[[], float] | None = None,
-        tripped: Callable[[], float] = lambda: 0,
+        watches: Callable[[], float | None] = lambda: None,
+        tripped: Callable[[], float] | None = None,
     ) -> None:
         self.motor = motor
         self.powered = self.booted = self.ready = self.heard = now
-        self._watches, self._tripped = watches, tripped
+        self.lapsed = self.ignores_off = False
+        self._watches = watches
+        self._tripped = tripped or (lambda: self.lapsed and not self.motor.enabled)
         self._strained = math.inf
-        self.ignores_off = False
 
     @property
     def now(self) -> float:
@@ -46,9 +48,8 @@ class Life:
     @property
     def watchdog_state(self) -> WatchdogState:
         """The state of the drive's watchdog."""
-        if self._watches is None:
-            return "none"
-        return "tripped" if self._tripped() else "on" if self._watches() else "off"
+        watches = self._watches()
+        return "none" if watches is None else "tripped" if self._tripped() else "on" if watches else "off"
 
     def run(self, until: float) -> None:
         """Simulate the motor up to `until`. Has no effect if this time has passed."""
@@ -58,10 +59,11 @@ class Life:
         """Simulate the motor up to the time at which an active watchdog acts, `timeout` s after the drive last heard
         something, if this is before `now`. Return whether the watchdog acts.
         """
-        silent = self._watches is not None and self._watches() and now - self.heard > timeout
-        if not silent or self.motor.watchdog_broken:
+        self.lapsed = self.lapsed and not self.motor.enabled
+        if not self._watches() or now - self.heard <= timeout or self.motor.watchdog_broken:
             return False
         self.run(self.heard + timeout)
+        self.lapsed = True
         return True
 
     def boot(self, now: float, lasting: float) -> None:

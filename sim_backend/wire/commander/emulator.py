@@ -61,12 +61,10 @@ class CommanderBoard:
         self.device = device
         self.unplugged = False
         self.watchdog = watchdog
-        self._tripped = False
         self._baudrate = baudrate
         self._timing = timing
-        self.life = Life(device.motor, now, (lambda: self.motor.enabled) if watchdog else None, self._stopped)
-        self._heard = now
-        self._awake = now
+        self.life = Life(device.motor, now, lambda: self.motor.enabled if self.watchdog else None)
+        self._boots = False
         self._free = now
         self.faults = WireFaults[SerialFault]()
         """The injected faults. Each command counts as a request, each printed line as a reply."""
@@ -77,10 +75,6 @@ class CommanderBoard:
     def motor(self) -> PlantMotor[MotionControl]:
         """The motor with its demand law."""
         return self.device.motor
-
-    def _stopped(self) -> bool:
-        self._tripped = self._tripped and not self.motor.enabled
-        return self._tripped
 
     def garble(self, sent: str, received: str) -> None:
         """Replace the text `sent` by `received` the next time that a client sends it: a transmission error."""
@@ -96,26 +90,19 @@ class CommanderBoard:
     def reboot(self, now: float) -> None:
         """Cut the board's power for a moment."""
         self.advance(now)
-        self.motor.disable()
-        self._awake = now + (self._timing or CommanderTiming()).boot
+        self.life.boot(now, (self._timing or CommanderTiming()).boot)
+        self._boots = True
 
     def advance(self, now: float) -> None:
         """Simulate the board up to `now`, s."""
-        if self._awake > self.life.powered and now >= self._awake:
-            self.life.run(self._awake)
+        if self._boots and now >= self.life.ready:
+            self.life.run(self.life.ready)
             self.device.restart()
-            self._heard, self._awake = self._awake, self.life.powered
-        elif self._lapsed(now):
-            self.life.run(self._heard + self.watchdog)
-            self._tripped = True
+            self.life.heard, self._boots = self.life.ready, False
+        elif self.life.lapses(now, self.watchdog):
             self.motor.disable()
             self.motor.law.target = 0.0
         self.life.run(now)
-
-    def _lapsed(self, now: float) -> bool:
-        """Return whether the watchdog of the board's program trips before `now`."""
-        late = bool(self.watchdog and self.motor.enabled and now > self._heard + self.watchdog)
-        return late and not self.motor.watchdog_broken
 
     def due(self) -> float:
         """Return the time at which the program next prints a line of `motor.monitor()`, s."""
@@ -140,9 +127,9 @@ class CommanderBoard:
         at = now
         for character in text:
             at += self._duration(1)
-            if self._awake > self.life.powered:  # it does not hear while it boots
+            if self._boots:  # it does not hear while it boots
                 continue
-            self._heard = at
+            self.life.heard = at
             printed = self.device.type(character) if character not in "\n\r" else self._obey(character, at)
             for line in printed.splitlines(keepends=True):
                 out += self._reply(line.encode("latin-1"), at)
@@ -156,7 +143,7 @@ class CommanderBoard:
         self._streamed = max(self._streamed, now - _UNREAD)
         while self._streams and self.due() <= now:
             self._streamed = self.due()
-            if self._awake <= self.life.powered:
+            if not self._boots:
                 out += self._reply(self.device.monitored().encode(), self._streamed)
                 self._streamed = max(self._streamed, self._free - _SEND_BUFFER * self._duration(1))
         if not self._streams:
@@ -187,7 +174,7 @@ class CommanderBoard:
             case Reboots():
                 self.reboot(at)
                 greeting = "".join(f"MOT: {line}\r\n" for line in _BOOT)
-                return [(self._awake - 0.1, greeting.encode())]
+                return [(self.life.ready - 0.1, greeting.encode())]
         loop, latency = (self._timing.loop, self._timing.usb_latency) if self._timing else (0.0, 0.0)
         self._free = max(self._free, at + loop) + self._duration(len(line))
         return paced(self.faults.arriving(line, self._free), self._duration(1), latency)

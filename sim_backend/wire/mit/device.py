@@ -84,8 +84,7 @@ class MitDevice:
         self.refused: set[int] = set()
         """Registers whose writes are acknowledged but not carried out: a fault for tests."""
         self._zero = 0.0
-        watches = (lambda: self.motor.enabled and self.values[9]) if self.damiao else None
-        self.life = Life(self.motor, now, watches, lambda: self.error == LOST_COMMUNICATION)
+        self.life = Life(self.motor, now, self._watches, lambda: self.error == LOST_COMMUNICATION)
         self._report_due = now if servo else math.inf
 
     @property
@@ -99,6 +98,9 @@ class MitDevice:
         if self.error or not self.damiao:
             return self.error
         return ENABLED if self.motor.enabled else DISABLED
+
+    def _watches(self) -> float | None:
+        return self.motor.enabled and self.values[9] if self.damiao else None
 
     def due(self) -> float:
         """Return the time of the next report in servo mode, s; infinity in MIT mode."""

@@ -84,13 +84,10 @@ class RobstrideDevice:
         self._damping = max(SPEED_GAIN * row.span[1], SPEED_RATE * self.motor.inertia)
         self.faults = 0
         self.refused: set[str] = set()
-        self._tripped = False
         self._rate = self._next_rate = 1
         self._zero, self._host = 0.0, 0xFD
         self._mit_host = 0
-        self.life = Life(
-            self.motor, now, lambda: self.motor.enabled and self.values["canTimeout"], lambda: self._tripped
-        )
+        self.life = Life(self.motor, now, lambda: self.motor.enabled and self.values["canTimeout"])
         self._fault_due = self._report_due = math.inf
 
     @property
@@ -117,7 +114,6 @@ class RobstrideDevice:
     def advance(self, now: float) -> None:
         """Simulate the motor up to `now` and check for faults."""
         if self.life.lapses(now, self.values["canTimeout"] * TIMEOUT_LSB):
-            self._tripped = True
             self.motor.disable()
         self.life.run(now)
         if self.motor.temperature > self.model.hottest and not self.faults & OVERHEAT:
@@ -132,7 +128,7 @@ class RobstrideDevice:
     def reboot(self, now: float) -> None:
         """Switch the torque off, lose the settings that were not stored, and do not reply until the boot has ended."""
         self.life.boot(now, BOOT)
-        self.faults, self._tripped, self._host = 0, False, 0xFD
+        self.faults, self.life.lapsed, self._host = 0, False, 0xFD
         self.values = dict(self._saved)
         self.protocol, self._rate = self._next_protocol, self._next_rate
         turn, low = 2.0 * math.pi, -math.pi if self.values["zero_sta"] else 0.0
@@ -149,7 +145,7 @@ class RobstrideDevice:
             return self._canopen(frame, data)
         if frame.extended != (self.protocol == PRIVATE) or frame.ident & 0xFF != self.ident:
             return []
-        self.life.heard, self._tripped = now, False
+        self.life.heard, self.life.lapsed = now, False
         if self.protocol == MIT:
             return [self._mit(frame.ident >> 8, data)]
         return self._private(frame.ident >> 24, frame.ident >> 8, data)
