@@ -15,6 +15,7 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import TYPE_CHECKING
 
 from drivers.clock import no_later
+from drivers.gate import Gate
 from drivers.retry import Repeats
 from drivers.servo import BadReply, NoReply
 from drivers.uart.adapter import Lateness
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from drivers.canbus.link import CanLink
     from drivers.clock import Clock
+    from drivers.servo import Quantity
 
 LATE = 0.02
 """s after the deadline in which a reply may still arrive; a reply that has not arrived then is lost."""
@@ -64,6 +66,18 @@ class Requests:
         self.repeats = Repeats()
         self.only_on_request = only_on_request
         self.unrequested: Counter[Hashable] = Counter()
+
+    def gate(self, quantities: frozenset[Quantity], torque_off: Callable[[int], None], mode_key: str = "") -> Gate:
+        """Return the gate of the servo, whose link it closes. The arguments are those of `Gate`."""
+        return Gate(
+            self._link.name,
+            quantities,
+            torque_off=torque_off,
+            release=self._link.close,
+            mode_key=mode_key,
+            repeats=self.repeats,
+            clock=self._clock,
+        )
 
     def ask(self, frames: Iterable[can.Message], wanted: Iterable[Hashable]) -> dict[Hashable, bytes]:
         """Send `frames` and return the data of one reply of each kind in `wanted`.

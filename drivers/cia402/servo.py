@@ -20,7 +20,7 @@ from drivers.cia402.node import TPDO1, TPDO2, Node
 from drivers.cia402.scan import neighbours
 from drivers.cia402.states import ENABLE, LIMITING, DriveState, state_of
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate, to_counts
+from drivers.gate import to_counts
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
 
 if TYPE_CHECKING:
@@ -53,14 +53,7 @@ class Cia402Servo:
         self._ticks = self._most = 0
         self._temperature = self._voltage = math.nan
         quantities = frozenset({Quantity.TORQUE})
-        self._gate = Gate(
-            self._link.name,
-            quantities,
-            torque_off=self._torque_off,
-            release=self._link.close,
-            clock=self.clock,
-            repeats=self._node.network.requests.repeats,
-        )
+        self._gate = self._node.network.requests.gate(quantities, self._torque_off)
         with self._gate.opening(self._node.stop):
             identity = self._node.nameplate.identify()
             self.disarm()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate, below_one_count
+from drivers.gate import below_one_count
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, MitState, fault, models
 from drivers.mit.motor import MitMotor
@@ -49,14 +49,7 @@ class MitServo:
         self._link = CanLink(config.bus, self.clock, bus)
         self._motor = MitMotor(config, self._link, self.clock)
         self._ignored = 0
-        self._gate = Gate(
-            self._link.name,
-            _QUANTITIES,
-            torque_off=self._torque_off,
-            release=self._link.close,
-            clock=self.clock,
-            repeats=self._motor.requests.repeats,
-        )
+        self._gate = self._motor.requests.gate(_QUANTITIES, self._torque_off)
         with self._gate.opening(self._motor.send_leave):
             self.info = self._describe(self._motor.identify())
         self._gate.live = False

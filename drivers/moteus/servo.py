@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.controller import Controller
 from drivers.moteus.frames import (
@@ -78,15 +77,7 @@ class MoteusServo:
         self._impossible = 0
         self._last_position = 0.0
         quantities = frozenset({config.quantity})
-        self._gate = Gate(
-            self._link.name,
-            quantities,
-            torque_off=self._torque_off,
-            release=self._link.close,
-            mode_key="moteus.mode",
-            clock=self.clock,
-            repeats=self._controller.requests.repeats,
-        )
+        self._gate = self._controller.requests.gate(quantities, self._torque_off, "moteus.mode")
         with self._gate.opening(lambda: self._controller.send(_STOP)):
             identity = self._controller.identify()
             state = self._controller.exchange(_STATE)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock, no_later
-from drivers.gate import Gate
 from drivers.odrive.axis import Axis
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.messages import (
@@ -61,14 +60,7 @@ class OdriveServo:
         self._parameters: Parameters | None = None
         self._ticks = 0
         quantities = frozenset({Quantity.TORQUE})
-        self._gate = Gate(
-            self._link.name,
-            quantities,
-            torque_off=self._torque_off,
-            release=self._link.close,
-            clock=self.clock,
-            repeats=self._axis.requests.repeats,
-        )
+        self._gate = self._axis.requests.gate(quantities, self._torque_off)
         with self._gate.opening(lambda: self._axis.requests.send([self._axis.codec.put("set_state", IDLE)])):
             firmware = self._axis.identify()
             self._parameters = self._open_parameters(firmware)

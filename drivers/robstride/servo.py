@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
 from drivers.clock import Clock, MonotonicClock
-from drivers.gate import Gate, below_one_count
+from drivers.gate import below_one_count
 from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.frames import RESTARTED, RUNNING, STOPPED, WATCHDOG, RobstrideState, fault, models
 from drivers.robstride.motor import RobstrideMotor
@@ -44,14 +44,7 @@ class RobstrideServo:
         self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._motor = RobstrideMotor(config, self._link, self.clock)
-        self._gate = Gate(
-            self._link.name,
-            _QUANTITIES,
-            torque_off=self._torque_off,
-            release=self._link.close,
-            clock=self.clock,
-            repeats=self._motor.requests.repeats,
-        )
+        self._gate = self._motor.requests.gate(_QUANTITIES, self._torque_off)
         with self._gate.opening(self._motor.send_stop):
             self.info = self._describe(*self._motor.identify())
         self._gate.live = False
