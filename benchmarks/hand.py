@@ -53,7 +53,7 @@ duration = {duration}
 gear_ratio = 4.0
 torque_source = "joint"
 [limits]
-torque = 0.03
+torque = {torque}
 deflection = 1.0
 velocity = 100.0
 [sim.fixture]
@@ -61,16 +61,19 @@ stiffness = 20.0
 """
 
 
-def written(path: Path, names: Sequence[str], generator: np.random.Generator, **head: float) -> dict[str, Array]:
-    """Write a hand with a cable drawn for each name, and return Kc and Bc of each."""
-    text, truth = HEAD.format(**head), {}
+def written(
+    path: Path, names: Sequence[str], generator: np.random.Generator, *, scale: float = 1.0, **head: float
+) -> dict[str, Array]:
+    """Write a hand with a cable drawn for each name, and return Kc and Bc of each. scale: of all torques."""
+    text, truth = HEAD.format(torque=0.03 * scale, **head), {}
     for name in names:
-        truth[name] = np.array([18e-3, 1.9e-4]) * np.exp(0.3 * generator.standard_normal(2))
+        truth[name] = scale * np.array([18e-3, 1.9e-4]) * np.exp(0.3 * generator.standard_normal(2))
         joint, turns = FINGER.get(name, (name, {}))
         inside = ", ".join(f"{key} = {value}" for key, value in turns.items())
         text += f'[[joint]]\nname = "{name}"\nmoves = "{joint}"\nalso_moves = {{{inside}}}\n'
         text += f"sim.coupling.stiffness = {truth[name][0]}\nsim.coupling.damping = {truth[name][1]}\n"
-        text += f"sim.coupling.coulomb_friction = {generator.uniform(0.0, 1e-4)}\n"
+        text += f"sim.coupling.coulomb_friction = {scale * generator.uniform(0.0, 1e-4)}\n"
+        text += f"sim.coupling.bristle_stiffness = {scale * 0.02}\n"
     path.write_text(text)
     return truth
 
@@ -160,8 +163,9 @@ def fingers_of_seeds(folder: Path, workers: int, seeds: int) -> list[str]:
 def emulated_hand(folder: Path, workers: int) -> list[str]:
     path, link = folder / "emulated" / "hand.toml", folder / "ttyHAND"
     path.parent.mkdir()
-    truth = written(path, NAMES[:5], np.random.default_rng(5), repeats=1, duration=20.0)
+    truth = written(path, NAMES[:5], np.random.default_rng(5), scale=10.0, repeats=1, duration=20.0)
     text = path.read_text().replace('backend = "sim"', 'backend = "dynamixel"').replace('torque_source = "joint"\n', "")
+    text = text.replace("duration = 20.0", "duration = 20.0\nrate = 200\nband = [0.1, 10.0]")
     text = text.replace("gear_ratio = 4.0", "motor_inertia = 3.2e-6\nmotor_damping = 1.6e-6")
     text = text.replace("velocity = 100.0", "velocity = 60.0\ntemperature = 65.0")
     text = text.replace("[sim.fixture]", f'[dynamixel]\nport = "{link}"\nmodel = "xl330-m288"\n[sim.fixture]')
