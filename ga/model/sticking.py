@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from ga.model.trajectory import Motion
@@ -80,8 +81,6 @@ def slowest(motion: Motion) -> float:
     At rest the sign of the measured rate is that of its noise, and as the joint comes to rest the Coulomb term falls
     earlier than friction does. The rate is derived from the data because rates differ by four decades between stands.
     """
-    import numpy as np
-
     if not len(motion):
         return 0.0
     least, noise = float(np.quantile(np.abs(motion.dtheta_dot), STUCK)), motion.rate_noise or 0.0
@@ -93,8 +92,6 @@ def slowest(motion: Motion) -> float:
 
 def smoothing(motion: Motion) -> float:
     """Return v_s of the Coulomb term, rad/s, for a motion: the rate over which the term changes its sign."""
-    import numpy as np
-
     if not len(motion):
         return 0.0
     usual = _usual(motion)
@@ -107,8 +104,6 @@ def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
     apart (n,): the differences between derivatives of the deflection in two windows. values (n,): the derivative in one
     of them. noise: its standard deviation. Unknown values are NaN.
     """
-    import numpy as np
-
     usual = float(np.sqrt(np.nanmean(values**2)))
     return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
@@ -120,8 +115,6 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
     and the friction of the samples between has the wrong sign. The slope from the previous to the next sample shows the
     true direction, if it is larger than noise.
     """
-    import numpy as np
-
     whole, rows = motion.whole
     rate, near = whole.dtheta_dot, whole.dtheta_dot.copy()
     if len(whole) < 3:
@@ -142,8 +135,6 @@ def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
     held (n,): whether friction may hold the joint. A reversal is short compared with the filter, and the size of
     friction is known on both sides of it.
     """
-    import numpy as np
-
     if motion.behind is None or not held.any():
         return np.zeros(len(motion), dtype=bool)
     whole, rows = motion.whole
@@ -160,8 +151,6 @@ def looks_like_spring(motion: Motion) -> bool:
     It would if the joint reaches one deflection from one side and another deflection from the other, as in a binary
     sequence. A chirp is slow only at the turning points of its slow end.
     """
-    import numpy as np
-
     resting = _resting(motion)
     sign = _holding(motion, resting)
     move = _moves(sign)
@@ -183,8 +172,6 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
     step it depends on the window. Behind a second-order drive that hardly overshoots, the deflection after a few more
     samples is needed too.
     """
-    import numpy as np
-
     whole, _ = motion.whole
     places = 3 if inertia else 2
     last = LATER * (places - 1)
@@ -208,8 +195,6 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
 
 def _resting(motion: Motion) -> NDArray[np.bool_]:
     """Return the samples (n,) in which the joint is as slow as at rest."""
-    import numpy as np
-
     return np.asarray(np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion)))
 
 
@@ -217,8 +202,6 @@ def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
     """Return the sign (n,) of friction, which keeps its direction while the joint rests. resting (n,): whether the
     joint rests.
     """
-    import numpy as np
-
     last = np.maximum.accumulate(np.where(resting, 0, np.arange(len(motion))))  # the sample that moved before
     return np.asarray(np.sign(motion.dtheta_dot)[last])
 
@@ -227,13 +210,9 @@ def _moves(sign: Array) -> NDArray[np.int64]:
     """Return the number of the move (n,) that each sample belongs to; a rest belongs to the move before it. sign (n,):
     the direction of the move.
     """
-    import numpy as np
-
     return np.cumsum(np.diff(sign, prepend=sign[:1]) != 0.0)
 
 
 def _usual(motion: Motion) -> float:
     """Return the r.m.s. rate, rad/s."""
-    import numpy as np
-
     return float(np.linalg.norm(motion.dtheta_dot) / np.sqrt(len(motion)))

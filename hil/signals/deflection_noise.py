@@ -7,27 +7,13 @@ so is Bc.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.trajectory import Motion
 from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Read:
-    """Readings: torque (n,) N m, deflection (n,) rad, its rate and acceleration (n,), and the time between two
-    readings, s.
-    """
-
-    torque: Array
-    dtheta: Array
-    rate: Array
-    acceleration: Array
-    step: float
 
 
 def smallest_step(dtheta: Array) -> float:
@@ -68,24 +54,27 @@ def _unshared(values: Array, other: Array) -> float:
     return float(np.sqrt(np.median(left) / np.sum(taper**2)))
 
 
-def disturbs(read: Read, noise: float, rate_noise: float) -> bool:
-    """Return whether noise of the deflection, rad, and noise of its rate, rad/s, would change Kc or Bc by 0.05 %."""
-    of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (read.dtheta, read.rate))
+def disturbs(motion: Motion, torque: Array, step: float, noise: float, rate_noise: float) -> bool:
+    """Return whether noise of the deflection, rad, and noise of its rate, rad/s, would change Kc or Bc by 0.05 %.
+
+    torque (n,): N m. step: time between two readings, s.
+    """
+    of_deflection, of_rate = (max(float(np.var(one)), 1e-300) for one in (motion.dtheta, motion.dtheta_dot))
     attenuated = max(noise**2 / of_deflection, rate_noise**2 / of_rate)
-    return bool(attenuated > c.ACCURATE or _drawn(read, noise) > c.ACCURATE)
+    return bool(attenuated > c.ACCURATE or _drawn(motion, torque, step, noise) > c.ACCURATE)
 
 
-def _drawn(read: Read, noise: float) -> float:
+def _drawn(motion: Motion, torque: Array, step: float, noise: float) -> float:
     """Return the relative change of Bc that a skew biased by noise causes."""
-    columns = np.stack([np.ones_like(read.rate), read.dtheta, read.rate, read.acceleration], axis=1)
-    _, stiffness, damping, _inertia = np.linalg.lstsq(columns, read.torque, rcond=None)[0].tolist()
+    columns = np.stack([np.ones(len(motion)), motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot], axis=1)
+    _, stiffness, damping, _inertia = np.linalg.lstsq(columns, torque, rcond=None)[0].tolist()
     # what of the torque's slope no Kc and Bc can make
-    slope = damping * read.acceleration
+    slope = damping * motion.dtheta_ddot
     others = columns[:, :3]
     alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
     if float(np.mean(alone**2)) * c.SKEW_INFLATION < float(np.mean(slope**2)):
         return 0.0  # a skew cannot be distinguished, and is not included
-    drawn = skew_by_noise(stiffness * noise, alone, read.step)
+    drawn = skew_by_noise(stiffness * noise, alone, step)
     return float(abs(stiffness * drawn / damping)) if damping else np.inf
 
 

@@ -153,12 +153,6 @@ class Fits:
         """
         return self.motion.coarser(ENOUGH)
 
-    @property
-    def errors(self) -> tuple[float, float, float]:
-        """Return the standard deviations of the errors of deflection (rad), rate and acceleration; 0 where unknown."""
-        seen = self.window
-        return (seen.of_deflection, seen.noise, seen.of_acceleration) if seen else (0.0, 0.0, 0.0)
-
     def candidate(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate:
         """Return the model of these terms, fitted to all samples.
 
@@ -174,7 +168,8 @@ class Fits:
                 some = replace(problem, motion=motion, torque=self.torque[rows]).thinned()
                 start = best_start(some, _inside(given, problem)).nonlinear
             found = descend(problem, start) if len(start) else problem.solve(start)
-            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, self.errors[0])
+            error = self.window.of_deflection if self.window else 0.0
+            self._fitted[terms] = Candidate(terms, _model(terms), problem, found, error)
         return self._fitted[terms]
 
     def candidate_or_none(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ga.model.sticking import beyond_noise
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
-from hil.signals.deflection_noise import Read, disturbs, own_noise, smallest_step
+from hil.signals.deflection_noise import disturbs, own_noise, smallest_step
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passed, passing
 from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, widest
 from hil.signals.rate.spectrum import Spectrum
@@ -37,8 +37,7 @@ class Window:
     change Kc or Bc, or if the joint moves too fast for the narrowest polynomial. noisy: whether the noise is the
     reason. jerk, rad/s, and jump, rad/s^2: the largest differences between rates and between accelerations in several
     windows where the acceleration does not jump; infinite if a jump would not show in the torque of the damping or of
-    an inertia. of_acceleration: standard deviation, rad/s^2, of the errors of the acceleration from noise and from
-    smoothing.
+    an inertia.
     """
 
     slope: int
@@ -53,7 +52,6 @@ class Window:
     noisy: bool = False
     jerk: float = np.inf
     jump: float = np.inf
-    of_acceleration: float = 0.0
 
     @property
     def jerks(self) -> bool:
@@ -135,11 +133,10 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     seen = Motion(time[some], dtheta[some], rate[some], acceleration[some], np.zeros(len(some)))
     of_torque = _own_noise(seen, torque[some], cell)
     hidden = _hidden(seen, torque[some], of_torque)
-    read = Read(torque[some], seen.dtheta, seen.dtheta_dot, seen.dtheta_ddot, step)
     rate, left = rate[known], left[known]
     fast = np.abs(rate) >= np.quantile(np.abs(rate), c.MOST)  # there wrong time stamps make noise too
     noise, fastest = float(np.median(left)), float(np.median(left[fast]))
-    of_deflection = max(own_noise(min(noise, floor), read.dtheta, read.torque), rounding)
+    of_deflection = max(own_noise(min(noise, floor), seen.dtheta, torque[some]), rounding)
     slope = max(
         narrowed(slope, step, noise, hides_in_rate(rate)),
         narrowed(slope, step, fastest, hides_in_rate(rate[fast])),
@@ -151,7 +148,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     found = Window(
         slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, c.UNSEEN_ERROR * hidden
     )
-    noisy = disturbs(read, found.of_deflection, found.of_deflection * _amplified(slope, step))
+    noisy = disturbs(seen, torque[some], step, of_deflection, of_deflection * _amplified(slope, step))
     following = None if noisy else _following(found, *first, torque[: c.ENOUGH], of_torque)
     if following is None and not noisy and cell is not None:
         # torque readings so far apart cannot pass the low-pass that the deflection would
@@ -167,10 +164,9 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     low_pass = low_pass_for(time, highest, min(slope, c.NARROWEST))
     if low_pass is None:
         return found
-    _, of_rate, of_acceleration = found.of_deflection * low_pass.amplification()
+    of_rate = float(found.of_deflection * low_pass.amplification()[1])
     # a low-pass blurs a jump over many samples, whose errors are alike
-    found = replace(found, low_pass=low_pass, noisy=noisy, unseen=0.0)
-    return replace(found, noise=float(of_rate), of_acceleration=float(of_acceleration))
+    return replace(found, low_pass=low_pass, noisy=noisy, unseen=0.0, noise=of_rate)
 
 
 def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
@@ -249,10 +245,7 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: floa
     # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
     is_felt = float(inertia) * away > c.FELT_INERTIA * own
-    noise = found.of_deflection * _amplified(found.curvature, found.step, 2)
-    if is_felt and _power(rate, smooth) >= c.SMOOTH_POWER * _power(rate):
-        return replace(jumping, of_acceleration=noise)
-    return replace(found, of_acceleration=float(np.hypot(noise, away)))
+    return jumping if is_felt and _power(rate, smooth) >= c.SMOOTH_POWER * _power(rate) else found
 
 
 def smoothed_away(
