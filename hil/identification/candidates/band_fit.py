@@ -7,7 +7,9 @@ exact. A term that only made up for their errors no longer improves the score, a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,48 +27,37 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class BandFit:
-    """A fit in the band.
+    """The best linear parameters, `genes` (p,), for nonlinear ones (q,) and Bc/Kc = `lag`, s; SI.
 
-    terms: those besides the smallest model's. genes (p,), nonlinear (q,): linear and nonlinear parameters, SI. lag:
-    Bc/Kc, s; 0 if the flanks of a gap part at its edge. score: twice the log odds. columns (p + q, m), target (m,): of
-    the problem linearised at the fit, whitened. residuals (rows,): N m, not whitened.
+    lag: 0 if the flanks of a gap part at its edge. columns (p + q, m), target (m,): of the problem linearised at the
+    fit, whitened; those of the q nonlinear parameters follow once the fit has converged. residuals (rows,): N m, not
+    whitened. terms: those besides the smallest model's. score: twice the log odds.
     """
 
-    terms: tuple[str, ...]
     model: CouplingModel
-    genes: Array
     nonlinear: Array
     lag: float
-    score: float
+    genes: Array
     columns: Array
     target: Array
     residuals: Array
+    terms: tuple[str, ...] = ()
+    score: float = -np.inf
 
     @property
     def values(self) -> dict[str, float]:
         """The nonlinear parameters, SI, by name."""
         return dict(zip((one.name for one in self.model.nonlinear), self.nonlinear.tolist(), strict=True))
 
-    @property
+    @cached_property
     def left(self) -> Array:
         """The whitened residuals (m,), N m."""
         return np.asarray(self.target - self.genes @ self.columns[: len(self.genes)])
 
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """The best linear parameters, `genes` (p,), for given nonlinear ones (q,) and Bc/Kc = `lag`, s; SI.
-
-    square: the sum of squares of the whitened residuals. whitened (p + 1, m): the columns, then the target. residuals
-    (rows,): N m, not whitened.
-    """
-
-    nonlinear: Array
-    lag: float
-    genes: Array
-    square: float
-    whitened: Array
-    residuals: Array
+    @cached_property
+    def square(self) -> float:
+        """The sum of squares of the whitened residuals."""
+        return float(self.left @ self.left)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +84,7 @@ class BandFits:
 
         If it would not, none of the models that it contains is inside: they fit no better.
         """
-        return self._score(float(fit.left @ fit.left) / self.size**2, ()) > self.best()[0].score - c.OCCAM
+        return self._score(fit.square, ()) > self.best()[0].score - c.OCCAM
 
     def pruned(self, fit: BandFit) -> BandFit:
         """Return the fit without the terms that do not improve the score, which are removed one after the other."""
@@ -112,24 +103,20 @@ class BandFits:
         best = self._started(model, values, (low, high))
         if model.needs_ratio:
             pushing = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
-            best = min(pushing, best, key=lambda solved: solved.square) if model.chooses_edge else pushing
-        jacobian = np.empty((0, best.whitened.shape[1]))
+            best = min(pushing, best, key=_square) if model.chooses_edge else pushing
+        jacobian = np.empty((0, len(best.target)))
         for _ in range(c.NEWTON_STEPS if len(low) else 0):
-            jacobian = self._jacobian(model, best)
-            better = self._stepped(model, best, jacobian, (low, high))
+            jacobian = self._jacobian(best)
+            better = self._stepped(best, jacobian, (low, high))
             if better is None:
                 break
             gained, best = best.square - better.square, better
             if gained < c.CONVERGED * best.square:
                 break
-        square = best.square / self.size**2
-        columns = np.concatenate([best.whitened[:-1], jacobian])
-        score = self._score(square, terms)
-        return BandFit(
-            terms, model, best.genes, best.nonlinear, best.lag, score, columns, best.whitened[-1], best.residuals
-        )
+        columns = np.concatenate([best.columns, jacobian])
+        return replace(best, columns=columns, terms=terms, score=self._score(best.square, terms))
 
-    def _started(self, model: CouplingModel, values: Mapping[str, float], bounds: tuple[Array, Array]) -> _Solved:
+    def _started(self, model: CouplingModel, values: Mapping[str, float], bounds: tuple[Array, Array]) -> BandFit:
         """Return the best fit of a few starts. A parameter without a given value starts at its absent value, or at the
         values of the grid.
         """
@@ -141,43 +128,41 @@ class BandFits:
             for value in [one.absent] if one.name in values else grid:
                 if value is not None:
                     moved = np.where(np.arange(len(low)) == at, value, best.nonlinear)
-                    best = min(best, self._solved(model, moved, 0.0), key=lambda solved: solved.square)
+                    best = min(best, self._solved(model, moved, 0.0), key=_square)
         return best
 
-    def _stepped(
-        self, model: CouplingModel, best: _Solved, jacobian: Array, bounds: tuple[Array, Array]
-    ) -> _Solved | None:
+    def _stepped(self, best: BandFit, jacobian: Array, bounds: tuple[Array, Array]) -> BandFit | None:
         """Return the fit after a Gauss-Newton step, halved until the fit is better; None if it never is."""
-        columns = np.concatenate([best.whitened[:-1], jacobian])
-        target = best.whitened[-1] + best.nonlinear @ jacobian
+        model, columns = best.model, np.concatenate([best.columns, jacobian])
+        target = best.target + best.nonlinear @ jacobian
         step = _least_squares(columns, target, positive_among(model.linear))[len(model.linear) :] - best.nonlinear
         for halving in range(c.HALVINGS):
             nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
             if np.array_equal(nonlinear, best.nonlinear):
                 return None
             lags = {lag_of(*best.genes[:2]), *([0.0] if model.chooses_edge else [])}
-            tried = min((self._solved(model, nonlinear, lag) for lag in lags), key=lambda solved: solved.square)
+            tried = min((self._solved(model, nonlinear, lag) for lag in lags), key=_square)
             if tried.square < best.square:
                 return tried
         return None
 
-    def _solved(self, model: CouplingModel, nonlinear: Array, lag: float) -> _Solved:
+    def _solved(self, model: CouplingModel, nonlinear: Array, lag: float) -> BandFit:
         motion, torque = self.band.motion, self.band.torque
         columns = model.columns(motion, nonlinear, lag).T
         lowered = self.band.lowered(np.concatenate([columns, model.target(motion, torque, nonlinear)[None]]))
         whitened = self.band.whitened(lowered)
         genes = _least_squares(whitened[:-1], whitened[-1], positive_among(model.linear))
-        left = whitened[-1] - genes @ whitened[:-1]
-        return _Solved(nonlinear, lag, genes, float(left @ left), whitened, lowered[-1] - genes @ lowered[:-1])
+        residuals = lowered[-1] - genes @ lowered[:-1]
+        return BandFit(model, nonlinear, lag, genes, whitened[:-1], whitened[-1], residuals)
 
-    def _jacobian(self, model: CouplingModel, best: _Solved) -> Array:
+    def _jacobian(self, best: BandFit) -> Array:
         motion, torque = self.band.motion, self.band.torque
-        changed = model.jacobian(motion, best.nonlinear, best.genes, best.lag, torque)
+        changed = best.model.jacobian(motion, best.nonlinear, best.genes, best.lag, torque)
         return self.band.whitened(self.band.lowered(np.ascontiguousarray(changed.T)))
 
     def _without(self, fit: BandFit, term: str) -> float:
         """Return the score of a fit without a term, from the problem linearised at the fit with it."""
-        parameters = (*fit.model.linear, *fit.model.nonlinear)
+        parameters = fit.model.parameters
         own = np.array([one in TERMS[term].parameters for one in parameters])
         values = np.concatenate([fit.genes, fit.nonlinear])
         gone = [
@@ -187,11 +172,14 @@ class BandFits:
         others = fit.columns[~own]
         left = target - _least_squares(others, target) @ others
         fewer = tuple(one for one in fit.terms if one != term)
-        return self._score(float(left @ left) / self.size**2, fewer)
+        return self._score(float(left @ left), fewer)
 
     def _score(self, square: float, terms: tuple[str, ...]) -> float:
         parameters = sum(len(TERMS[term].parameters) for term in terms)
-        return float(self.score.of(square, parameters)) + odds(terms)
+        return float(self.score.of(square / self.size**2, parameters)) + odds(terms)
+
+
+_square = attrgetter("square")
 
 
 def _least_squares(columns: Array, target: Array, positive: tuple[int, ...] = ()) -> Array:

@@ -7,7 +7,6 @@ delays and lags, and the residuals of the fit give the noise model.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +25,11 @@ _SMALLEST = tuple(SMALLEST.split("+"))
 _LATE = ("branch", "mass", "channel")
 
 
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """A set of terms besides the smallest model's, and approximate nonlinear parameters, SI, by name."""
-
-    terms: tuple[str, ...]
-    values: Mapping[str, float]
-
-
 def proposed(
     signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]
-) -> tuple[list[Proposal], list[Proposal]]:
-    """Return the models fitted to the samples in `seen` (n,), best first, and the candidates in Occam's window.
+) -> tuple[list[BandFit], dict[str, Mapping[str, float]]]:
+    """Return the models fitted to the samples in `seen` (n,), best first, and for each term of the candidates in
+    Occam's window the nonlinear parameters, SI, by name, of the best candidate with that term.
 
     terms: those considered besides the smallest model's.
     """
@@ -58,8 +50,10 @@ def proposed(
             break
         catalogue.add_values(best.terms, best.values)
         search = _learned(catalogue, best)
-    models = [Proposal(one.terms, one.values) for one in fits.best()]
-    return models, [Proposal(search.terms(one), search.values(one)) for _, one in found]
+    values: dict[str, Mapping[str, float]] = {}
+    for _, rival in reversed(found):
+        values |= dict.fromkeys(search.terms(rival), search.values(rival))
+    return fits.best(), values
 
 
 def _sharpened(search: Search, fit: BandFit) -> Search:

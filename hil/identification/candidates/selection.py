@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
+from hil.identification.candidates.band_fit import BandFit
 from hil.identification.candidates.criterion import Criterion, criterion_of
 from hil.identification.candidates.fits import Candidate, Fits, own
-from hil.identification.candidates.proposal import Proposal, proposed
+from hil.identification.candidates.proposal import proposed
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
@@ -60,10 +61,7 @@ def select(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) ->
     """
     motion = signals.motion if seen.all() else signals.motion.of(seen)
     fits = Fits(motion, signals.torque[seen], signals.band[1], signals.window)
-    models, rivals = proposed(signals, seen, terms)
-    values: dict[str, Mapping[str, float]] = {}
-    for rival in rivals:
-        values |= {term: rival.values for term in rival.terms if term not in values}
+    models, values = proposed(signals, seen, terms)
     chosen = _first_possible(fits, models)
     for _ in range(c.EXCHANGES):
         beside = Beside(fits, criterion_of(fits, chosen, len(terms)), terms, values)
@@ -75,7 +73,7 @@ def select(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) ->
     return Selection(chosen, beside)
 
 
-def _first_possible(fits: Fits, models: Sequence[Proposal]) -> Candidate:
+def _first_possible(fits: Fits, models: Sequence[BandFit]) -> Candidate:
     """Return the exact fit of the first model with physically possible parameters; else that of the smallest model."""
     for model in models:
         terms = tuple(term for term in TERMS if term in {*SMALLEST.split("+"), *model.terms})
