@@ -69,6 +69,10 @@ class SeparableModel(Protocol):
     """A model that can be fitted: `ga.model.coupling.CouplingModel`, or a user's own."""
 
     @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def sticks(self) -> bool: ...  # noqa: D102
+    @property
     def linear(self) -> tuple[Parameter, ...]: ...  # noqa: D102
     @property
     def nonlinear(self) -> tuple[Parameter, ...]: ...  # noqa: D102
@@ -81,6 +85,10 @@ class SeparableModel(Protocol):
     def jacobian(  # noqa: D102
         self, motion: Motion, nonlinear: Array, genes: Array, lag: float = 0.0, torque: Array | None = None
     ) -> Array: ...
+    def anchored(self, motion: Motion) -> SeparableModel: ...  # noqa: D102
+    def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]: ...  # noqa: D102
+    def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]: ...  # noqa: D102
+    def delay(self, nonlinear: Array | None) -> float: ...  # noqa: D102
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from ga.evolution.evolution import PRESETS, READINGS, Settings
 from ga.model.coupling import parse
+from ga.model.separable import SeparableModel
 from hil.api.arrays import content_of, is_frame, recorded
 from hil.api.distant import identify_on
 from hil.api.given import Recordings, labels, paths, several
@@ -22,7 +23,6 @@ from hil.api.wording import in_python, is_on_the_command_line, worded
 from hil.errors import Untrustworthy, WrongUse, unknown
 from hil.identification import compare as comparison
 from hil.identification import user_model
-from hil.identification.coupling import Coupling
 from hil.identification.each import Interrupted, Result, Task, identified
 from hil.identification.each import identify_each as identify_spread
 from hil.identification.fitting.solution import Search
@@ -37,7 +37,7 @@ Progress = Callable[[str, float], None]
 @worded
 def identify(
     recordings: Recordings | None = None,
-    model: str | Coupling | None = None,
+    model: str | SeparableModel | None = None,
     *,
     time: ArrayLike | None = None,
     torque: ArrayLike | None = None,
@@ -104,7 +104,7 @@ def _identified(task: Task, progress: Progress | None) -> Identification | Untru
 @worded
 def identify_each(
     recordings: Recordings,
-    model: str | Coupling | None = None,
+    model: str | SeparableModel | None = None,
     *,
     start: Any = None,
     end: Any = None,
@@ -172,7 +172,7 @@ def _search(
 
 
 def _tasks(
-    recordings: Sequence[Sequence[Given]], model: str | Coupling | None, search: Search, fixture: AnyPath | None
+    recordings: Sequence[Sequence[Given]], model: str | SeparableModel | None, search: Search, fixture: AnyPath | None
 ) -> list[Task]:
     # bounds and checkpoints belong to one model, and a fixture is subtracted from apparent stiffness and damping
     fixed = search.preset == "paper" or bool(search.bounds) or search.checkpoint is not None or fixture is not None
@@ -211,7 +211,7 @@ def compare(
     *recordings: Recordings,
     start: Any = None,
     end: Any = None,
-    model: str | Coupling = "auto",
+    model: str | SeparableModel = "auto",
     trials: int | None = None,
     seed: int = 0,
     workers: int | None = None,
@@ -228,7 +228,7 @@ def compare(
     return ComparisonResult(comparison.compare(given, coupling_of(model), search, progress))
 
 
-def coupling_of(model: str | Coupling) -> Coupling | None:
+def coupling_of(model: str | SeparableModel) -> SeparableModel | None:
     """Return the coupling model with the name `model`, None for model selection ("auto"). Raises WrongUse."""
     if not isinstance(model, str):
         return model

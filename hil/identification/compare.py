@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.coupling import Coupling
 from hil.identification.each import Result, Task, identify_each
 from hil.identification.fitting.solution import Search
 from hil.identification.result import Estimate, Identification, standard_error, widened
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.user_model import refuse_without_coupling
 from hil.identification.verdict.identifiability import uncertain_scale
 from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
@@ -25,16 +26,13 @@ from hil.signals import constants as c
 from hil.signals.source import Source, open_sources
 from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
-COMPARED = ("Kc", "Bc")
-"""The parameters that are compared: Kc and Bc of the coupling. Other terms belong to the stand."""
-
 
 @dataclass(frozen=True, slots=True)
 class Measured:
     """The result of one recording.
 
     created: when it was recorded, UTC; None if unknown. hours: time since the first recording, h. estimates: the
-    estimates of the parameters in COMPARED, by name; {} if the recording could not be used. identifiable: the names of
+    estimates of Kc and Bc, by name; {} if the recording could not be used. identifiable: the names of
     the parameters that the recording identifies. model: the fitted model. torque_scale: how well the torque's scale,
     which cancels in differences, is known. window: the first and the last time that was used, s; None for all of it.
     """
@@ -85,7 +83,7 @@ class Comparison:
 
 def compare(
     given: Sequence[Given],
-    model: Coupling | None,
+    model: SeparableModel | None,
     search: Search,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -98,8 +96,7 @@ def compare(
     """
     if len(given) < 2:
         raise WrongUse("a comparison needs at least two recordings")
-    if model is not None:
-        _check_names(model)
+    refuse_without_coupling(model, "Kc and Bc are compared")
     with open_sources(given) as sources:
         diagnostics = same_stand_diagnostics(sources)
         created, imported = zip(*(_origin(source) for source in sources), strict=True)
@@ -113,7 +110,7 @@ def compare(
             hours = (moment - first) / timedelta(hours=1) if moment and first else math.nan
             measured.append(_measured(source, moment, hours, model, _usable(source.path, found, diagnostics)))
     models = sorted({one.model for one in measured if one.estimates})
-    repeated = tuple(_repeated(name, measured) for name in COMPARED)
+    repeated = tuple(_repeated(name, measured) for name in c.COUPLING)
     diagnostics += uncertain_scale(TorqueScale.widest(one.torque_scale for one in measured))
     if len(models) > 1:
         text = f"the recordings were fitted with different models ({', '.join(models)}): name one with --model"
@@ -124,16 +121,7 @@ def compare(
     return Comparison(" or ".join(models) or _name(model), tuple(measured), repeated, tuple(diagnostics))
 
 
-def _check_names(model: Coupling) -> None:
-    names = [parameter.name for parameter in (*model.linear, *model.nonlinear)]
-    if not set(COMPARED) <= set(names):
-        raise WrongUse(
-            f"{' and '.join(COMPARED)} are compared, but model {model.name!r} has {', '.join(names)}: give its "
-            "parameters these names"
-        )
-
-
-def _name(model: Coupling | None) -> str:
+def _name(model: SeparableModel | None) -> str:
     return "auto" if model is None else model.name
 
 
@@ -161,12 +149,12 @@ def _usable(path: Path, found: Result, diagnostics: list[Diagnostic]) -> Identif
 
 
 def _measured(
-    source: Source, created: datetime | None, hours: float, model: Coupling | None, found: Identification | None
+    source: Source, created: datetime | None, hours: float, model: SeparableModel | None, found: Identification | None
 ) -> Measured:
     scale, window = source.torque_scale, source.recording.window
     if found is None:
         return Measured(source.path, created, hours, _name(model), {}, frozenset(), scale, window)
-    estimates = {name: found[name] for name in COMPARED}
+    estimates = {name: found[name] for name in c.COUPLING}
     # numbers of one model that lacks something are still comparable with each other
     doubted = {one.parameter for one in found.diagnostics if one.is_error and one.code != "misfit"}
     names = {name for name, estimate in estimates.items() if estimate.identifiable and not {name, None} & doubted}

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ga.model.separable import SeparableModel
 from hil.errors import Untrustworthy
-from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.fixture import identify_without_fixture
 from hil.identification.identify import identify
@@ -31,7 +31,7 @@ class Task:
     """
 
     recordings: tuple[Given, ...]
-    model: Coupling | None
+    model: SeparableModel | None
     search: Search
     fixture: Path | None = None
 

@@ -6,28 +6,31 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ga.model.separable import SeparableModel
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
-from hil.identification.coupling import Coupling
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
 from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error, with_scale
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.user_model import refuse_without_coupling
 from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.recording.reader import Recording
-from hil.signals.constants import NORMAL
+from hil.signals.constants import COUPLING, NORMAL
 from hil.signals.source import open_sources
 from hil.stand.file import load
 from hil.uncertainty.criteria import narrow
 from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
-_CORRECTED = ("Kc", "Bc")
-
 
 def identify_without_fixture(
-    given: Sequence[Given], fixture: Path, model: Coupling | None, search: Search, progress: Progress | None = None
+    given: Sequence[Given],
+    fixture: Path,
+    model: SeparableModel | None,
+    search: Search,
+    progress: Progress | None = None,
 ) -> Identification:
     """Fit a model to the recordings of the joint and to the empty-rig recording, and remove the fixture's compliance.
 
@@ -35,7 +38,7 @@ def identify_without_fixture(
     WrongUse if the empty rig is of another stand or is one of the recordings, and for a model without Kc and Bc;
     Untrustworthy as `without_fixture`.
     """
-    _check_names(model)
+    refuse_without_coupling(model, "--fixture corrects Kc and Bc", ", or leave the option out")
     with open_sources([*given, empty_rig(fixture)]) as (*sources, rig):
         stands = same_stand_diagnostics([sources[0], rig])
         found = identify_sources(sources, model, search, progress)
@@ -63,15 +66,6 @@ def empty_rig(path: Path) -> Path:
                 f"with hil calibrate fixture {quoted(path)}"
             )
     return recording
-
-
-def _check_names(model: Coupling | None) -> None:
-    names = _CORRECTED if model is None else [parameter.name for parameter in (*model.linear, *model.nonlinear)]
-    if model is not None and not set(_CORRECTED) <= set(names):
-        raise WrongUse(
-            f"--fixture corrects Kc and Bc, but model {model.name!r} has {', '.join(names)}: give its parameters "
-            "these names, or leave the option out"
-        )
 
 
 def without_fixture(found: Identification, fixture: Identification) -> Identification:
@@ -105,7 +99,7 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
         found,
         estimates=estimates,
         diagnostics=(*_explained(found), *_of_fixture(fixture), *lost),
-        fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in _CORRECTED)),
+        fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in COUPLING)),
     )
 
 

@@ -14,12 +14,12 @@ from threadpoolctl import ThreadpoolController
 
 from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter, positive_among
+from ga.model.separable import SeparableModel
 from ga.model.terms import size_of
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.described import Described, tested, without_model
 from hil.identification.candidates.held import most_taken_off
-from hil.identification.coupling import Coupling
 from hil.identification.fitting.dataset import Dataset, open_dataset
 from hil.identification.fitting.exact import without_signs
 from hil.identification.fitting.solution import Search, Solution, solve
@@ -36,8 +36,7 @@ from hil.identification.verdict.deflection import (
 )
 from hil.identification.verdict.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.verdict.identifiability import judge, uncertain_scale, wide_intervals
-from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics
-from hil.identification.verdict.outweighed_spring import outweighed_spring
+from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics, outweighed_spring
 from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
@@ -57,7 +56,7 @@ _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable mo
 
 
 def identify(
-    given: Sequence[Given], model: Coupling | None, search: Search, progress: Progress | None = None
+    given: Sequence[Given], model: SeparableModel | None, search: Search, progress: Progress | None = None
 ) -> Identification:
     """Fit a model to the pooled recordings. model: None for the model that model selection chooses.
 
@@ -69,7 +68,7 @@ def identify(
 
 
 def identify_sources(
-    sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None = None
+    sources: Sequence[Source], model: SeparableModel | None, search: Search, progress: Progress | None = None
 ) -> Identification:
     """Fit a model to open recordings on one core: with several cores the last digit would differ."""
     with ThreadpoolController().limit(limits=1, user_api="blas"):
@@ -77,7 +76,7 @@ def identify_sources(
 
 
 def _identified(
-    sources: Sequence[Source], model: Coupling | None, search: Search, progress: Progress | None
+    sources: Sequence[Source], model: SeparableModel | None, search: Search, progress: Progress | None
 ) -> Identification:
     began = time.perf_counter()
     stands = [*same_stand_diagnostics(sources), *calibration_diagnostics(sources), *other_joints_diagnostics(sources)]

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.model.separable import SeparableModel
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
-from hil.identification.coupling import Coupling
 from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL
@@ -180,7 +180,7 @@ class Identification:
     """
 
     recordings: tuple[Path, ...]
-    model: Coupling
+    model: SeparableModel
     steps: tuple[Step, ...]
     preset: str
     seed: int

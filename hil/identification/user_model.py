@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.record import Parameter, Term
+from ga.model.separable import SeparableModel
 from ga.model.terms import PARAMETERS, TERMS, add
 from ga.model.trajectory import Motion
 from hil.errors import WrongUse
@@ -126,6 +127,14 @@ def _read_only(values: Array) -> Array:
     view = values.view()
     view.flags.writeable = False
     return view
+
+
+def refuse_without_coupling(model: SeparableModel | None, need: str, remedy: str = "") -> None:
+    """Raise WrongUse if a model lacks Kc or Bc. need, remedy: text for what needs them, and for what else may help."""
+    names = [parameter.name for parameter in (*model.linear, *model.nonlinear)] if model else []
+    if model and not set(c.COUPLING) <= set(names):
+        has = f"model {model.name!r} has {', '.join(names)}"
+        raise WrongUse(f"{need}, but {has}: give its parameters these names{remedy}")
 
 
 def of_package(name: str) -> UserModel | None:

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.identification.compare import COMPARED, Comparison, Measured, Repeated
+from hil.identification.compare import Comparison, Measured, Repeated
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import named
 from hil.report.chart import Band, Chart, Panel, with_intervals
@@ -23,6 +23,7 @@ from hil.report.formatting import (
 )
 from hil.report.html_page import Page, Picture, Section, write
 from hil.report.provenance import provenance
+from hil.signals.constants import COUPLING
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -114,7 +115,7 @@ def _recording_rows(found: Comparison) -> list[list[str]]:
         [
             named(one.path, one.window),
             f"{one.hours:.3g}" if math.isfinite(one.hours) else "unknown",
-            *(_cell(found, one, name) for name in COMPARED),
+            *(_cell(found, one, name) for name in COUPLING),
         ]
         for one in found.recordings
     ]

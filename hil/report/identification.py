@@ -27,7 +27,7 @@ from hil.units import with_unit
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.identification.coupling import Coupling
+    from ga.model.separable import SeparableModel
     from hil.identification.result import Deflection, Estimate, Identification
 
 _METHODS = {"instruments": "the command as an instrument", "simulation": "a simulation of the noise"}
@@ -80,7 +80,7 @@ def printed(found: Identification, estimate: Estimate) -> tuple[str, str | None,
     return value, half, f"{first} to {last}", unit
 
 
-def equation(model: Coupling) -> str:
+def equation(model: SeparableModel) -> str:
     """Return a model as an equation, with the meaning of every symbol that is no parameter; "" for a model of
     the user.
     """
@@ -96,7 +96,7 @@ def equation(model: Coupling) -> str:
     return f"tau = {' + '.join(added)}" + "".join(f"; {one}" for one in changes) + f" ({signs})"
 
 
-def meaning(model: Coupling) -> str:
+def meaning(model: SeparableModel) -> str:
     """Return a model in words; for a model of the user, its name."""
     return "; ".join(term.meaning for term in model.terms) if isinstance(model, CouplingModel) else model.name
 

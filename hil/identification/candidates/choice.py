@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, parse
-from ga.model.separable import Problem, fit
+from ga.model.separable import Problem, SeparableModel, fit
 from ga.model.terms import CONSIDERED, SMALLEST, TERMS, size_of
 from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
@@ -17,7 +17,6 @@ from hil.identification.candidates import selection
 from hil.identification.candidates.described import Described, tested
 from hil.identification.candidates.fits import LATE, with_flanks
 from hil.identification.candidates.selection import Selection
-from hil.identification.coupling import Coupling
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.constants import FEWEST
@@ -41,7 +40,7 @@ class Choice:
     age of the torque reading less that of the angle, s; the delay decides which samples are slow.
     """
 
-    model: Coupling
+    model: SeparableModel
     steps: tuple[Step, ...] = ()
     sticking: bool = False
     delay: float = 0.0
@@ -55,7 +54,7 @@ class Choice:
         return self.moving(signals.motion) & signals.rate_known
 
 
-def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Choice:
+def choose(model: SeparableModel | None, signals: Signals, *, linear_only: bool) -> Choice:
     """Return the model for the signals. model: the model that the user named; None for model selection.
 
     linear_only: allow only models that are linear in their parameters, as the `paper` preset and recordings that do not
@@ -76,7 +75,7 @@ def choose(model: Coupling | None, signals: Signals, *, linear_only: bool) -> Ch
         raise Untrustworthy(f"no model can be fitted ({error}): look at it with hil inspect") from error
 
 
-def _named(model: Coupling, signals: Signals) -> Choice:
+def _named(model: SeparableModel, signals: Signals) -> Choice:
     choice = Choice(model.anchored(signals.motion))
     problem = Problem(choice.model, signals.motion, signals.torque, *model.bounds(signals.motion, signals.band[1]))
     if isinstance(choice.model, CouplingModel) and choice.model.chooses_edge:
@@ -182,7 +181,7 @@ def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: 
     return not whole.model.sticks and not _are_worse(slow, motion, whole.residuals, little)
 
 
-def _is_sticking(model: Coupling, motion: Motion, delay: float, residuals: Array) -> bool:
+def _is_sticking(model: SeparableModel, motion: Motion, delay: float, residuals: Array) -> bool:
     """Return whether the model fits the samples in which friction may hold the joint worse than the others.
 
     All such samples are compared, and also those of each decade of the rate: during a long rest nothing moves, and the

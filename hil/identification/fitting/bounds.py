@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.model.record import Parameter, positive_among
+from ga.model.separable import SeparableModel
 from hil.errors import WrongUse, meant
-from hil.identification.coupling import Coupling
 
 Array = NDArray[np.float64]
 Given = Mapping[str, tuple[float, float]]
 """The user's bounds: the lowest and highest value of some parameters, SI, by name."""
 
 
-def bounds_for(model: Coupling, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
+def bounds_for(model: SeparableModel, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
     """Return the bounds of the linear parameters: the given ranges, else the paper's if `papers` is true, else those
     from the data.
 

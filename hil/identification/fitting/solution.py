@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Mapping
@@ -21,12 +22,11 @@ from ga.model.separable import Problem, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
 from ga.trials.outcome import Trials
-from ga.trials.trials import run_trials
+from ga.trials.trials import duration, run_trials
 from hil.errors import WrongUse
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved, unproven
-from hil.identification.fitting.forecast import forecast
 from hil.recording.ahead import Progress
 from hil.signals import constants as c
 from hil.uncertainty.blocks import Blocks
@@ -137,18 +137,21 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     """
     _check_population(search, len(bounds.low))
     columns, torque = data.in_memory if data.whole else (reduced.columns, reduced.torque)
-    if progress is not None and search.settings.scheme == "steady-state":
-        many, workers = search.trials or c.TRIALS, search.workers
-        forecast(columns, torque, bounds, search.settings, trials=many, workers=workers, progress=progress)
+    trials, workers, settings = search.trials or c.TRIALS, search.workers, search.settings
+    if progress is not None and settings.scheme == "steady-state" and settings.generations >= c.LONG_SEARCH:
+        seconds = duration(columns, torque, bounds, settings, trials=trials, workers=workers)
+        words = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
+        count = f"{trials * settings.generations:,} evaluations"
+        progress(f"searching with {count}: about {words}; Ctrl-C ends it and keeps its result", math.nan)
     try:
-        trials = run_trials(
+        found = run_trials(
             columns,
             torque,
             bounds,
-            search.settings,
-            trials=search.trials or c.TRIALS,
+            settings,
+            trials=trials,
             seed=search.seed,
-            workers=search.workers,
+            workers=workers,
             start=None if data.whole else reduced.start,
             progress=None if progress is None else partial(progress, "searching"),
             stop=lambda: False,  # given one, the search ends at Ctrl-C and keeps its result
@@ -158,7 +161,7 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
         raise WrongUse(f"--checkpoint: {error}") from None
     except OSError as error:
         raise WrongUse(f"--checkpoint {search.checkpoint}: {error.strerror}: name another file") from error
-    return trials if data.whole else trials.scaled(reduced.share)
+    return found if data.whole else found.scaled(reduced.share)
 
 
 def _check_population(search: Search, count: int) -> None:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from ga.lad.exact import least_absolute_deviations
 from ga.model.record import Regressors, Term
+from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
-from hil.identification.coupling import Coupling
 from hil.signals import constants as c
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
@@ -103,7 +103,7 @@ Rest = Callable[[Signals], Unloaded]
 """A function that returns where the joint of the signals is unloaded."""
 
 
-def rest_for(model: Coupling | None) -> Rest:
+def rest_for(model: SeparableModel | None) -> Rest:
     """Return the function that finds the unloaded deflection for a model. model: None if the model is to be selected.
 
     The function returns the encoder's zero if a parameter of the model counts from it: gap and slack do, and parameters

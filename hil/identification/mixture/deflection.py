@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.identification.coupling import Coupling
+from ga.model.separable import SeparableModel
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def read_with_errors(
-    model: Coupling, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
+    model: SeparableModel, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
 ) -> DeflectionErrors | None:
     """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 

@@ -23,7 +23,7 @@ from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
 from hil.identification.candidates.fits import own
-from hil.identification.fitting.jumps import rate_beside_jumps
+from hil.identification.candidates.held import rate_beside_jumps
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.uncertainty.blocks import Blocks

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel
 from ga.model.record import Kind, Parameter
+from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
-from hil.identification.coupling import Coupling
 from hil.identification.fitting.unloaded import Span
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
 from hil.signals import constants as c
@@ -53,7 +53,7 @@ class Evidence:
       and the unloaded deflection is known.
     """
 
-    model: Coupling
+    model: SeparableModel
     signals: Signals
     reference: float
     columns: Array

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.identification.verdict.misfit import long_delay
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, write
 from hil.signals.prepare import prepare
-from hil.signals.torque_reading import long_delay
 
 STEP = 2e-3
 FINE = 10  # points a sample
