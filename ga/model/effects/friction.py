@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ga.model.record import SCALE, STRENGTH, Mark, Parameter, Regressors, Term, searched
@@ -38,11 +39,14 @@ TURNS: Final = (0.002, 0.6)
 _SLOW: Final = 1e-4  # rate over vr, below which both forms of friction are in proportion to it
 
 
-def _sign(regressors: Regressors) -> tuple[Array, ...]:
+def _moving(rate: Array, smoothing: float) -> Array:
     import numpy as np
 
-    rate, smoothing = regressors.motion.dtheta_dot, regressors.smoothing
-    return (np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate),)
+    return np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
+
+
+def _sign(regressors: Regressors) -> tuple[Array, ...]:
+    return (_moving(regressors.motion.dtheta_dot, regressors.smoothing),)
 
 
 def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: Array) -> Array:
@@ -52,8 +56,7 @@ def _loaded(angle: Array, motion: Motion, lag: float, smoothing: float, values: 
     import numpy as np
 
     rate = motion.dtheta_dot
-    moving = np.tanh(rate / smoothing) if smoothing > 0.0 else np.zeros_like(rate)
-    return np.asarray(1.0 + values[0] * moving * np.sign(angle + lag * rate))
+    return np.asarray(1.0 + values[0] * _moving(rate, smoothing) * np.sign(angle + lag * rate))
 
 
 def capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -166,20 +169,16 @@ CAPSTAN: Final = Term(
     equation="x counts from rest; springs and dampers are multiplied by 1 + mu*sign(v)*sign(tau)",
 )
 
-PULLEY: Final = Term(
+PULLEY: Final = replace(
+    CAPSTAN,
+    name="pulley",
+    meaning="friction in proportion to the torque of the spring, with the damper beside it, as of a tendon over a "
     "pulley",
-    "friction in proportion to the torque of the spring, with the damper beside it, as of a tendon over a pulley",
-    CAPSTAN.parameters,
-    bounds=capstan_bounds,
-    remaining=CAPSTAN.remaining,
     load=lambda angle, motion, _lag, smoothing, values: _loaded(angle, motion, 0.0, smoothing, values),
     spares_dampers=True,
-    role="load",
-    needs="offset",
+    mark=None,
     excludes=(*CAPSTAN.excludes, "capstan"),
     reason="capstan is the same with a damper in the tendon, and where a gap is open nothing rubs",
-    sticks=True,
-    example="mu 0.03, 0.1, 0.3; rest 5 % of stroke",
     equation="x counts from rest; springs are multiplied by 1 + mu*sign(v)*sign(x)",
 )
 

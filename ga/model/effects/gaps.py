@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ga.model.record import Mark, Term, searched
@@ -128,21 +129,13 @@ BACKLASH: Final = Term(
     equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them tau is 0",
 )
 
-DEADBAND: Final = Term(
-    "deadband",
-    "a gap of the spring only, in which the damper still acts",
-    (_GAP, _CENTRE),
-    bounds=_gap_bounds,
-    remaining=_beyond_gap,
-    shifts=_gap_shifts,
-    selection="considered",
-    role="play",
-    open=_open,
-    needs="offset",
+DEADBAND: Final = replace(
+    BACKLASH,
+    name="deadband",
+    meaning="a gap of the spring only, in which the damper still acts",
+    contact=None,
+    mark=None,
     excludes=_others("deadband"),
-    reason=_ONE_GAP,
-    breaks=True,
-    example="gap 1, 4, 20 % of stroke; centre 0",
     equation="x counts from the flank that touches, at centre + gap/2 or centre - gap/2; between them x is 0",
 )
 
