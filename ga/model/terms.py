@@ -92,7 +92,10 @@ def canonical(name: str) -> str:
     """
     names = [term.strip() for term in name.split("+")]
     for term in names:
-        _refuse_unknown(term)
+        if term not in TERMS:
+            near = difflib.get_close_matches(term, TERMS, n=1)
+            hint = f' did you mean "{near[0]}"?' if near else ""
+            raise UnknownTerm(f'no model term "{term}":{hint} there are {", ".join(TERMS)}')
         if names.count(term) > 1:
             raise ValueError(f'model "{name}": {term} is named twice')
         if set(TERMS[term].excludes).intersection(names):
@@ -134,10 +137,3 @@ def _beside(given: Collection[str], terms: Collection[str]) -> tuple[str, ...]:
 
 def _excluded(one: str, other: str) -> bool:
     return other in TERMS[one].excludes or one in TERMS[other].excludes
-
-
-def _refuse_unknown(term: str) -> None:
-    if term not in TERMS:
-        near = difflib.get_close_matches(term, TERMS, n=1)
-        hint = f' did you mean "{near[0]}"?' if near else ""
-        raise UnknownTerm(f'no model term "{term}":{hint} there are {", ".join(TERMS)}')

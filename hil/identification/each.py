@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -76,47 +76,31 @@ def identify_each(tasks: Sequence[Task], progress: Progress | None = None) -> li
 
 
 def _identify_each(tasks: Sequence[Task], progress: Progress | None, found: dict[int, Result]) -> None:
+    """Run the tasks in this process and in others, and store the results in `found`."""
     if not tasks:
         return
-    workers, count = tasks[0].search.workers, len(tasks)
+    workers, count, began = tasks[0].search.workers, len(tasks), time.perf_counter()
     if workers == 1 or count < _FEWEST:
         does = _whole if count > 1 else identified
         for at, task in enumerate(tasks):
             found[at] = does(task, _share(progress, at, count))
         return
-    alone = [by_itself(task) for task in tasks]
-
-    def on_done(done: int) -> None:
-        if progress is not None:
-            progress(f"identified {done} of {count}", done / count)
-
-    _spread(tasks, alone, progress, on_done, found)
-
-
-def by_itself(task: Task) -> Task:
-    """Return a task that uses one core."""
-    return replace(task, search=replace(task.search, workers=1))
-
-
-def _spread(
-    tasks: Sequence[Task],
-    alone: Sequence[Task],
-    progress: Progress | None,
-    on_done: Callable[[int], None],
-    found: dict[int, Result],
-) -> None:
-    """Run the tasks in this process and in others, and store the results in `found`.
-
-    alone: the same tasks with one core each. on_done: a function that is called when a task is done.
-    """
-    workers, count, began = tasks[0].search.workers, len(tasks), time.perf_counter()
-    delay = _WORTH / (count - 1)
+    alone, delay = [by_itself(task) for task in tasks], _WORTH / (count - 1)
 
     def here(at: int) -> Result:
         is_first = time.perf_counter() - began < delay  # all cores are its own until the others come
         return _whole(tasks[at] if is_first else alone[at], _share(progress, at, count))
 
+    def on_done(done: int) -> None:
+        if progress is not None:
+            progress(f"identified {done} of {count}", done / count)
+
     shared(_whole, alone, others=min(workers, count) - 1, delay=delay, here=here, found=found, on_done=on_done)
+
+
+def by_itself(task: Task) -> Task:
+    """Return a task that uses one core."""
+    return replace(task, search=replace(task.search, workers=1))
 
 
 def _whole(task: Task, progress: Progress | None = None) -> Result:

@@ -18,7 +18,7 @@ from ga.model.separable import SeparableModel
 from ga.model.terms import size_of
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice, choose
-from hil.identification.candidates.described import Described, tested, without_model
+from hil.identification.candidates.described import Described, tested
 from hil.identification.candidates.held import most_taken_off
 from hil.identification.fitting.dataset import Dataset, open_dataset
 from hil.identification.fitting.exact import without_signs
@@ -92,7 +92,7 @@ def _identified(
         found = estimates(evidence := _evidence(data, solution))
         scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
         described = _described(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
-        fit, dynamic = tested(described), without_model(described)
+        fit, dynamic = tested(described), described.dynamic_stiffness(data.signals.coupling_torque)
         found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others

@@ -150,13 +150,9 @@ class _Columns:
 
     def seeing(self, usable: UsableRows) -> tuple[_Columns, Window]:
         """Return the columns, with the sensors that these rows show to be slower than the ticks, and the windows."""
-        columns = self._slower(usable)
-        return columns, _window(usable, columns)
-
-    def _slower(self, usable: UsableRows) -> _Columns:
         torque = None if self.own_time else slow_channel.kind_of(usable.stamps[0], usable.torque)
-        dtheta = slow_channel.kind_of(usable.stamps[0], usable.dtheta)
-        return replace(self, torque=torque, dtheta=dtheta)
+        columns = replace(self, torque=torque, dtheta=slow_channel.kind_of(usable.stamps[0], usable.dtheta))
+        return columns, _window(usable, columns)
 
 
 def prepare(recording: Recording, stand: StandTable | None) -> Signals:

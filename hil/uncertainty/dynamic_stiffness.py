@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
+from hil.uncertainty.deflection.instruments import is_instrument
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -66,7 +67,7 @@ def dynamic_stiffness(
     torque (n,): of the coupling, N m. band: the excited band of the motion. command (n,): set-points, rad or N m, in
     the order of the samples. The command is ignored if it has gaps, is constant, or the motion does not follow it.
     """
-    usable = command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
+    usable = is_instrument(command)
     instrument = command if command is not None and usable else motion.dtheta
     spectra = _spectra(motion, torque, instrument, band)
     if spectra is None:

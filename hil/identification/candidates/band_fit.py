@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import positive_among
-from ga.model.terms import SMALLEST, TERMS, lacking
+from ga.model.terms import TERMS
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.catalogue import model_of
-from hil.identification.candidates.search import Score, odds
+from hil.identification.candidates.search import Score, is_complete, odds
 from hil.signals import constants as c
 
 Array = NDArray[np.float64]
@@ -89,7 +89,8 @@ class BandFits:
     def pruned(self, fit: BandFit) -> BandFit:
         """Return the fit without the terms that do not improve the score, which are removed one after the other."""
         while True:
-            tried = [(self._without(fit, term), term) for term in fit.terms if _is_free(term, fit.terms)]
+            free = (term for term in fit.terms if is_complete([one for one in fit.terms if one != term]))
+            tried = [(self._without(fit, term), term) for term in free]
             likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - c.GRID_LOSS]
             smaller = (self.fit(tuple(one for one in fit.terms if one != term), fit.values) for term in likely)
             better = next((one for one in smaller if one.score >= fit.score), None)
@@ -194,9 +195,3 @@ def _least_squares(columns: Array, target: Array, positive: tuple[int, ...] = ()
         if not negative:
             return found
         free[min(negative, key=lambda at: found[at] * size[at])] = False
-
-
-def _is_free(term: str, terms: tuple[str, ...]) -> bool:
-    """Return whether no other term needs this one."""
-    fewer = [*SMALLEST.split("+"), *(one for one in terms if one != term)]
-    return not any(lacking(one, fewer) for one in fewer)

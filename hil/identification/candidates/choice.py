@@ -143,7 +143,7 @@ def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_]) -> b
             model=found.model,
             signals=signals,
             kept=seen,
-            residuals=found.residuals,
+            residuals=found.chosen.residuals,
             columns=found.chosen.columns,
             values=values,
             half_width=np.zeros(len(values)),
@@ -178,7 +178,7 @@ def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: 
     values = whole.chosen.values
     loaded = size_of(values, "load share") * float(np.mean(np.abs(signals.torque)))
     little = c.OF_FRICTION * (size_of(values, "dry friction") + loaded)
-    return not whole.model.sticks and not _are_worse(slow, motion, whole.residuals, little)
+    return not whole.model.sticks and not _are_worse(slow, motion, whole.chosen.residuals, little)
 
 
 def _is_sticking(model: SeparableModel, motion: Motion, delay: float, residuals: Array) -> bool:

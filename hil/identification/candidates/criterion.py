@@ -146,7 +146,7 @@ def criterion_of(fits: Fits, chosen: Candidate, choices: int) -> Criterion:
 
     choices: the number of terms to choose from.
     """
-    columns, residuals = chosen.columns, chosen.problem.residuals(chosen.fit)
+    columns, residuals = chosen.columns, chosen.residuals
     signs = np.sign(residuals)
     return Criterion(
         signs=signs,

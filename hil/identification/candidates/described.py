@@ -94,7 +94,9 @@ def _tested_without_errors(described: Described, motion: Motion) -> LackOfFit | 
     found = lack_of_fit(fitted)
     if found is None or not found.misfit:
         return found
-    beside = np.column_stack([fitted.columns, _of_errors(described, columns)])
+    # what errors of the deflection make: where the joint rests at only a few angles, rounding follows the motion
+    p, read = len(described.model.linear), described.linearised(described.signals.motion)
+    beside = np.column_stack([fitted.columns, (read - columns)[:, :p] @ described.values[:p]])
     without = lack_of_fit(replace(fitted, columns=beside))
     return found if without is None or without.misfit else without
 
@@ -126,11 +128,6 @@ def tested_motion(described: Described) -> float:
     return float(np.sum(power[described.signals.smooth])) / max(float(np.sum(power)), np.finfo(float).tiny)
 
 
-def without_model(described: Described) -> DynamicStiffness | None:
-    """Return the dynamic stiffness in the excited band; None if the recording is too short."""
-    return described.dynamic_stiffness(described.signals.coupling_torque)
-
-
 def _lacking_at_jumps(described: Described) -> Lacking | None:
     """Return the largest effect that the model lacks beside jumps of the acceleration; None if no relevant effect is
     lacking.
@@ -159,18 +156,6 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
     parts = np.where(is_sure, part / all_of_it, 0.0)
     most = int(np.argmax(parts))
     return Lacking(float(lacking.frequency[most]), float(parts[most])) if parts[most] > c.LACKING else None
-
-
-def _of_errors(described: Described, followed: Array) -> Array:
-    """Return the torque (n,), N m, caused by errors of the deflection: the torque of the measured motion less that of
-    the true one.
-
-    followed (n, p): the columns of the motion computed from the command. If the joint rests at only a few angles,
-    rounding errors follow the motion, and are no misfit.
-    """
-    p = len(described.model.linear)
-    read = described.linearised(described.signals.motion)
-    return np.asarray((read - followed)[:, :p] @ described.values[:p])
 
 
 def _added(described: Described, before: Array, noisy: Motion) -> float:

@@ -37,8 +37,18 @@ class Candidate:
 
     @cached_property
     def held_out(self) -> Array:
-        """The errors (c.FOLDS,), N m, of blocks, each from a fit without that block."""
-        return _held_out(self.problem, self.fit)
+        """The mean errors (c.FOLDS,), N m, of blocks in time, each from a fit without that block, at the nonlinear
+        parameters of the fit to all samples.
+        """
+        thin = self.problem.thinned()
+        block = np.arange(len(thin.torque)) * c.FOLDS // len(thin.torque)
+        errors = np.empty(c.FOLDS)
+        for first in range(c.FOLDS // 2):
+            out = block % (c.FOLDS // 2) == first
+            left = np.abs(thin.of(out).residuals(thin.of(~out).solve(self.fit.nonlinear)))
+            for number in (first, first + c.FOLDS // 2):
+                errors[number] = left[block[out] == number].mean()
+        return errors
 
     @property
     def stiffness(self) -> float:
@@ -55,10 +65,10 @@ class Candidate:
         """All parameters, SI, by name."""
         return dict(zip((one.name for one in self.model.parameters), self.fit.values.tolist(), strict=True))
 
-    @property
-    def anchored(self) -> CouplingModel:
-        """The model, anchored to the recording; the flanks of its gap part as in the fit."""
-        return with_flanks(self.model.anchored(self.problem.motion), self.fit)
+    @cached_property
+    def residuals(self) -> Array:
+        """The residuals (n,), N m."""
+        return self.problem.residuals(self.fit)
 
     def on(self, rows: NDArray[np.bool_]) -> Candidate:
         """Return the fit to the samples `rows` (n,) only, at the nonlinear parameters of the fit to all samples."""
@@ -163,10 +173,11 @@ class Fits:
             problem = self._problem(terms)
             start = problem.low
             if len(start):
-                given = {one.name: values[one.name] for one in problem.model.nonlinear if one.name in values}
+                ends = zip(problem.model.nonlinear, problem.low, problem.high, strict=True)
+                inside = {p.name: float(np.clip(values[p.name], *own)) for p, *own in ends if p.name in values}
                 motion, rows = self._coarser
                 some = replace(problem, motion=motion, torque=self.torque[rows]).thinned()
-                start = best_start(some, _inside(given, problem)).nonlinear
+                start = best_start(some, inside).nonlinear
             found = descend(problem, start) if len(start) else problem.solve(start)
             error = self.window.of_deflection if self.window else 0.0
             self._fitted[terms] = Candidate(terms, _model(terms), problem, found, error)
@@ -203,30 +214,6 @@ def with_flanks(model: CouplingModel, found: Fit) -> CouplingModel:
 def own(term: str) -> tuple[str, ...]:
     """Return the names of a term's own parameters."""
     return tuple(parameter.name for parameter in TERMS[term].parameters)
-
-
-def _inside(values: Mapping[str, float], problem: Problem) -> dict[str, float]:
-    """Return values within the problem's bounds, by name."""
-    bounds = dict(
-        zip((one.name for one in problem.model.nonlinear), zip(problem.low, problem.high, strict=True), strict=True)
-    )
-    return {name: float(np.clip(value, *bounds[name])) for name, value in values.items()}
-
-
-def _held_out(problem: Problem, found: Fit) -> Array:
-    """Return the mean error, N m, of each block in time under a fit to the other blocks.
-
-    found: the fit to all samples, whose nonlinear parameters are used.
-    """
-    thin = problem.thinned()
-    block = np.arange(len(thin.torque)) * c.FOLDS // len(thin.torque)
-    errors = np.empty(c.FOLDS)
-    for first in range(c.FOLDS // 2):
-        out = block % (c.FOLDS // 2) == first
-        left = np.abs(thin.of(out).residuals(thin.of(~out).solve(found.nonlinear)))
-        for number in (first, first + c.FOLDS // 2):
-            errors[number] = left[block[out] == number].mean()
-    return errors
 
 
 def _model(terms: tuple[str, ...]) -> CouplingModel:

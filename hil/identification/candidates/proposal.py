@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
+from ga.model.terms import SMALLEST, TERMS, is_addable
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFit, BandFits
 from hil.identification.candidates.catalogue import Catalogue, model_of
-from hil.identification.candidates.search import Candidate, Search
+from hil.identification.candidates.search import Candidate, Search, is_complete
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
@@ -93,11 +93,10 @@ def _fit_exchanged(fits: BandFits, fit: BandFit, terms: tuple[str, ...]) -> None
     well each of the others would fit in its place.
     """
     for one in fit.terms:
-        others = (*_SMALLEST, *(term for term in fit.terms if term != one))
         for other in (term for term in terms if term != one and _account_for_the_same(one, term)):
-            larger = (*others, other)
-            if is_addable(other, others) and not any(lacking(term, larger) for term in larger):
-                exchanged = fits.fit(larger[len(_SMALLEST) :], fit.values)
+            larger = (*(term for term in fit.terms if term != one), other)
+            if is_addable(other, (*_SMALLEST, *larger[:-1])) and is_complete(larger):
+                exchanged = fits.fit(larger, fit.values)
                 if fits.may_win(exchanged):
                     fits.pruned(exchanged)
 

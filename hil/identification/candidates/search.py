@@ -87,7 +87,7 @@ class Search:
         self._odds = np.array([odds(kind) - 2.0 * math.log(len(self._kinds[kind])) for kind in kinds])
         self._parameters = np.array([point.parameters for point in self.points])
         self._conflicts = _conflicts(self.points)
-        self._needy = [at for at, kind in enumerate(kinds) if not _is_complete(kind)]
+        self._needy = [at for at, kind in enumerate(kinds) if not is_complete(kind)]
         widths = np.array([len(point.at) for point in self.points], dtype=np.int64)
         self._wide = {
             width: (numbers := np.flatnonzero(widths == width), np.array([self.points[one].at for one in numbers]))
@@ -144,7 +144,7 @@ class Search:
         free[at] = False
         chosen, terms = list(candidate), self.terms(candidate)
         may: NDArray[np.bool_] = np.logical_not(self._conflicts[chosen].any(axis=0))
-        may[[one for one in self._needy if not _is_complete((*terms, *self.points[one].terms))]] = False
+        may[[one for one in self._needy if not is_complete((*terms, *self.points[one].terms))]] = False
         for numbers, columns in self._wide.values():
             possible = numbers[may[numbers]]
             adds, gains = self._gains(columns[may[numbers]], across, left, free)
@@ -202,7 +202,7 @@ class Search:
             yield _with(candidate, number)
         for number in candidate:
             rest = tuple(one for one in candidate if one != number)
-            if _is_complete(self.terms(rest)):
+            if is_complete(self.terms(rest)):
                 yield rest
             others = np.where(self._conflicts[number], self.beside(rest), -np.inf)
             for other in self._best_of_kinds(others, least, c.GRID_POINTS):
@@ -259,7 +259,7 @@ def _with(candidate: Candidate, number: int) -> Candidate:
     return tuple(sorted((*candidate, number)))
 
 
-def _is_complete(terms: Sequence[str]) -> bool:
+def is_complete(terms: Sequence[str]) -> bool:
     """Return whether none of the terms lacks one that it needs."""
     all_terms = {*SMALLEST.split("+"), *terms}
     return not any(lacking(term, all_terms) for term in all_terms)

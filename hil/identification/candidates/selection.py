@@ -14,7 +14,7 @@ from ga.model.coupling import CouplingModel
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
 from hil.identification.candidates.band_fit import BandFit
 from hil.identification.candidates.criterion import Criterion, criterion_of
-from hil.identification.candidates.fits import Candidate, Fits, own
+from hil.identification.candidates.fits import Candidate, Fits, own, with_flanks
 from hil.identification.candidates.proposal import proposed
 from hil.identification.result import Step
 from hil.signals import constants as c
@@ -32,13 +32,8 @@ class Selection:
 
     @cached_property
     def model(self) -> CouplingModel:
-        """Return the selected model, anchored to the recording."""
-        return self.chosen.anchored
-
-    @cached_property
-    def residuals(self) -> Array:
-        """Return the residuals (n,) of the selected model's fit, N m."""
-        return self.chosen.problem.residuals(self.chosen.fit)
+        """Return the selected model, anchored to the recording; the flanks of its gap part as in the fit."""
+        return with_flanks(self.chosen.model.anchored(self.chosen.problem.motion), self.chosen.fit)
 
     @property
     def delay(self) -> float:

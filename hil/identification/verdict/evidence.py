@@ -130,10 +130,6 @@ class Evidence:
         """
         return 0.0 if self.has_friction or not self.model.linear else friction_likeness(self.signals.motion.dtheta_dot)
 
-    def is_zero(self, at: int) -> bool:
-        """Return whether the parameter cannot be negative for physical reasons, and its bounds include zero."""
-        return self.parameters[at].positive and bool(self.low[at] <= 0.0)
-
     def contradicted(self, at: int) -> float | None:
         """Return the negative value that the data give to a parameter that cannot be negative; None if the data agree
         with zero.

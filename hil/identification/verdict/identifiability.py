@@ -171,7 +171,8 @@ def _interruption(trials: Trials) -> list[Diagnostic]:
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     found, is_error = [], name in c.COUPLING
     end, negative = evidence.at_bound(at), evidence.contradicted(at)
-    if end is not None and not (end == "low" and evidence.is_zero(at)):  # which is physics' bound, not the search's
+    at_zero = end == "low" and evidence.parameters[at].positive and evidence.low[at] <= 0.0  # physics' bound
+    if end is not None and not at_zero:
         text = f"{name} is at the {end} end of its bounds, and its true value may lie beyond. Widen the bounds: "
         found.append(Diagnostic("at-bound", f"{text}--bounds {name}=LOW:HIGH", name, is_error=is_error))
     if negative is None and not evidence.identifiable(at):
