@@ -137,16 +137,16 @@ def _grid(motion: Motion, parameter: Parameter) -> tuple[float, ...]:
 def _of_term(term: Term, motion: Motion, torque: Array, model: Array) -> Iterator[Array]:
     """Yield the columns (n, k) of a term that a model with the torque (n,), N m, lacks."""
     grids = [_grid(motion, parameter) for parameter in term.parameters if parameter.nonlinear]
-    smooth, contact = _smooth(motion, model), np.ones(len(motion))
     regressors = partial(
-        Regressors, progress(motion), motion, contact=contact, load=None, damped=True, middle=0.0,
+        Regressors, progress(motion), motion, contact=np.ones(len(motion)), load=None, damped=True, middle=0.0,
         smoothing=_softness(motion),
     )  # fmt: skip
     if term.delays:
-        yield _columns(motion.slope(smooth))
+        yield _columns(motion.slope(_smooth(motion, model)))
     elif term.load is not None:
         yield _columns(np.abs(model - np.median(model)) * direction(motion))
     elif term.cell is not None:
+        smooth = _smooth(motion, model)
         for own in product(*grids):
             yield _columns(term.cell(motion, smooth, np.array(own)) - smooth)
     else:
