@@ -56,7 +56,7 @@ def _second(_: object, second: Any, *__: object, **___: object) -> Any:
 
 
 _IDENTIFY, _AVERAGE = "hil.identification.identify", "hil.identification.mixture.average"
-_DEFLECTION = "hil.uncertainty.deflection.correction"
+_DEFLECTION = "hil.identification.deflection.correction"
 SWITCHES: dict[str, tuple[Switch, ...]] = {
     BASE: (),
     "averages over models": ((f"{_IDENTIFY}:averaged", lambda *_: {}),),

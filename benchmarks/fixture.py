@@ -13,7 +13,7 @@ from page import machine, write_result
 from scipy.integrate import solve_ivp
 
 from ga.lad.exact import least_absolute_deviations
-from hil.uncertainty.series_compliance import Element, Excitation, corrected
+from hil.identification.series_compliance import Element, Excitation, corrected
 
 Array = NDArray[np.float64]
 JOINT = np.array([17.75e-3, 0.19e-3])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from page import machine, write_result
 from scipy.special import stdtrit
 
-from hil.uncertainty.random_effects import between
+from hil.identification.verdict.random_effects import between
 
 Array = NDArray[np.float64]
 Interval = tuple[float, float]

@@ -31,7 +31,7 @@ from hil.report.controller import PHASE_MARGIN, Controller, controller
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
+    from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
 
 AnyPath = str | os.PathLike[str]
 

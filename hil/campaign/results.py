@@ -16,8 +16,8 @@ from hil.campaign.journal import Journal, kept_result
 from hil.campaign.plan import Plan, Run
 from hil.diagnostics import Diagnostic
 from hil.identification.result import widened
+from hil.identification.verdict.random_effects import Drift, between, drift
 from hil.recording.reader import Recording
-from hil.uncertainty.random_effects import Drift, between, drift
 
 PARAMETERS = ("Kc", "Bc")
 BESIDE = ("Fc", "Fd", "mu", "gap")

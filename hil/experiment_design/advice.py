@@ -11,9 +11,9 @@ from ga.model.terms import TERMS
 from hil.acquisition.excitation import Profile
 from hil.diagnostics import Diagnostic
 from hil.experiment_design.assessment import Assessment, Task
+from hil.identification.verdict.criteria import distinguishable, narrow
 from hil.printable import quoted
 from hil.signals import constants as c
-from hil.uncertainty.criteria import distinguishable, narrow
 
 _NORMAL = 1.96
 

@@ -16,8 +16,8 @@ from hil.acquisition.excitation import Profile
 from hil.errors import WrongUse
 from hil.experiment_design.fisher import TERMS, Prediction, Readings, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Peaks, peaks, respond
+from hil.identification.verdict.criteria import friction_likeness
 from hil.stand.file import Stand
-from hil.uncertainty.criteria import friction_likeness
 from sim_backend.parameters import SimParameters
 
 ROUGH_RANGE = ((0.8, 1.0, 1.25), (2.0 / 3.0, 1.0, 1.5))

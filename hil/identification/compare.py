@@ -19,12 +19,12 @@ from hil.identification.result import Estimate, Identification, standard_error, 
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.identification.user_model import refuse_without_coupling
 from hil.identification.verdict.identifiability import uncertain_scale
+from hil.identification.verdict.random_effects import Drift, Pooled, between, drift
 from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
 from hil.signals import constants as c
 from hil.signals.source import Source, open_sources
-from hil.uncertainty.random_effects import Drift, Pooled, between, drift
 
 
 @dataclass(frozen=True, slots=True)

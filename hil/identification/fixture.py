@@ -13,7 +13,9 @@ from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify_sources
 from hil.identification.result import Estimate, Fixture, Identification, interval, standard_error, with_scale
 from hil.identification.same_stand import same_stand_diagnostics
+from hil.identification.series_compliance import Element, Excitation, corrected
 from hil.identification.user_model import refuse_without_coupling
+from hil.identification.verdict.criteria import narrow
 from hil.printable import quoted
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
@@ -21,8 +23,6 @@ from hil.recording.reader import Recording
 from hil.signals.constants import COUPLING, NORMAL
 from hil.signals.source import open_sources
 from hil.stand.file import load
-from hil.uncertainty.criteria import narrow
-from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
 
 def identify_without_fixture(

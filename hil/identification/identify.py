@@ -18,15 +18,17 @@ from ga.model.separable import SeparableModel
 from ga.model.terms import size_of
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice, choose
-from hil.identification.candidates.described import Described, tested
-from hil.identification.candidates.held import most_taken_off
+from hil.identification.deflection.correction import DeflectionErrors, read_with_errors
+from hil.identification.deflection.held import most_taken_off
+from hil.identification.deflection.instruments import is_instrument
+from hil.identification.fitting.confidence import confidence_intervals
 from hil.identification.fitting.dataset import Dataset, open_dataset
 from hil.identification.fitting.exact import without_signs
 from hil.identification.fitting.solution import Search, Solution, solve
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
+from hil.identification.misfit.described import Described, tested
 from hil.identification.mixture.average import averaged
-from hil.identification.mixture.deflection import read_with_errors
 from hil.identification.result import Estimate, Identification, Step, with_scale
 from hil.identification.same_stand import calibration_diagnostics, other_joints_diagnostics, same_stand_diagnostics
 from hil.identification.verdict.deflection import (
@@ -37,6 +39,7 @@ from hil.identification.verdict.deflection import (
 from hil.identification.verdict.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.verdict.identifiability import judge, uncertain_scale, wide_intervals
 from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics, outweighed_spring
+from hil.identification.verdict.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors
 from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
@@ -45,10 +48,6 @@ from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
-from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.deflection.correction import DeflectionErrors
-from hil.uncertainty.deflection.instruments import is_instrument
-from hil.uncertainty.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors
 
 Array = NDArray[np.float64]
 

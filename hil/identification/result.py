@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from ga.model.separable import SeparableModel
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
+from hil.identification.deflection.correction import Method
+from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
+from hil.identification.misfit.outcome import LackOfFit
 from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
-from hil.uncertainty.deflection.correction import Method
-from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-from hil.uncertainty.misfit import LackOfFit
-from hil.uncertainty.stationarity import VarianceComponents
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +55,21 @@ class Repeatability:
     best: float
     mean: float
     std: float
+
+
+@dataclass(frozen=True, slots=True)
+class VarianceComponents:
+    """The scatter of one parameter, in its unit. within: its standard error in a recording. between: its standard
+    deviation between recordings.
+
+    values: the estimate of each recording alone, NaN if the recording cannot estimate the parameter. p_alike: the
+    probability of values this far apart if the recordings did not differ.
+    """
+
+    within: float
+    between: float
+    values: tuple[float, ...] = ()
+    p_alike: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ from hil.report.formatting import json_number, plain_table, rounded
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-    from hil.uncertainty.misfit import LackOfFit
+    from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
+    from hil.identification.misfit.outcome import LackOfFit
 
 
 def lack_of_fit_json(found: LackOfFit | None) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-"""The numbers that decide in `hil.signals`, `hil.uncertainty` and `hil.identification`, each with its unit.
+"""The numbers that decide in `hil.signals` and `hil.identification`, each with its unit.
 
 The comment beside a number names its source: a paper or a study in `benchmarks/`. For other numbers no source is
 recorded.

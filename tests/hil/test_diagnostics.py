@@ -20,7 +20,7 @@ from hil.recording.writer import Header, write
 OPTION = re.compile(r"--(band|amplitude|profile|duration|rate|mode|fade)\b")
 """The options of `hil record` that say how the joint is driven and read."""
 
-RECORDED = ("hil.signals", "hil.identification", "hil.uncertainty", "hil.report")
+RECORDED = ("hil.signals", "hil.identification", "hil.report")
 """The packages that speak of a recording, which may have been imported."""
 
 

@@ -22,9 +22,8 @@ LONGER_MODULES = {"ga/model/trajectory.py": 411}  # may only fall
 LINES_OF_A_FUNCTION, OF_ONE_IN_TEN, OF_HALF = 60, 20, 7
 
 STACK = {  # numbers in statements of a module, other numbers in functions, codes of diagnostics
-    "hil/identification": (13, 16, 20),
-    "hil/uncertainty": (5, 12, 2),
-    "hil/signals": (384, 9, 14),  # one file for the three: 578 with the models, of 601 before
+    "hil/identification": (18, 28, 22),
+    "hil/signals": (384, 9, 14),  # one file for both: 578 with the models, of 601 before
     "ga/model": (176, 22, 0),
 }
 CODES = 34

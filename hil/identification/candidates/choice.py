@@ -14,9 +14,9 @@ from ga.model.trajectory import Motion
 from hil.errors import Untrustworthy, WrongUse
 from hil.hysteresis_curve.slow_ramp import refuse_slow_ramp
 from hil.identification.candidates import selection
-from hil.identification.candidates.described import Described, tested
 from hil.identification.candidates.fits import LATE, with_flanks
 from hil.identification.candidates.selection import Selection
+from hil.identification.misfit.described import Described, tested
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.constants import FEWEST

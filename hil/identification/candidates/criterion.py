@@ -2,8 +2,8 @@
 
 The gain of a term is computed in three steps. The likelihood ratio of a median regression is 4 f(0) times the fall of
 the sum of absolute residuals (Koenker and Machado 1999). It is divided by the factor by which the correlation of the
-residuals raises the variance of the term's parameters (`hil.uncertainty.residual_spectrum`). Then log n for each
-parameter (Schwarz 1978) and the cost of choosing among many terms (Chen and Chen 2008) are subtracted.
+residuals raises the variance of the term's parameters (`residual_spectrum.py`). Then log n for each parameter (Schwarz
+1978) and the cost of choosing among many terms (Chen and Chen 2008) are subtracted.
 
 The term must also not predict held-out blocks clearly worse. A rare term, and a term with a break, whose likelihood
 ratio has no known distribution, must predict them better and have a large gain. The density f(0) and the correlation
@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from ga.model.terms import TERMS
 from hil.identification.candidates.fits import Candidate, Fits
+from hil.identification.candidates.residual_spectrum import measure
 from hil.signals import constants as c
 from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import smallest_step
-from hil.uncertainty.residual_spectrum import measure
 
 Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice
+from hil.identification.fitting.blocks import Block, Blocks
 from hil.identification.fitting.disk_table import DiskTable
 from hil.identification.fitting.unloaded import Rest, Unloaded, unloaded
 from hil.recording.ahead import Progress, ahead
@@ -20,7 +21,6 @@ from hil.signals.prepare import LongRecording, Signals, joined, prepare, refuse_
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
 from hil.signals.zero_steps import zero_steps
-from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]

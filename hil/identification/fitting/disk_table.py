@@ -13,10 +13,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.identification.fitting.blocks import Block, Blocks
 from hil.recording.ahead import Progress, ahead
 from hil.recording.output import check_space, writing
 from hil.signals import constants as c
-from hil.uncertainty.blocks import Block, Blocks
 
 Array = NDArray[np.float64]
 

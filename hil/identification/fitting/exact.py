@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ga.lad.out_of_core import Reduced, reduce
 from hil.errors import Untrustworthy
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import confidence_intervals
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import confidence_intervals
 
 Array = NDArray[np.float64]
 

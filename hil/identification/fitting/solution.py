@@ -24,12 +24,12 @@ from ga.trials.nonlinear import search_nonlinear
 from ga.trials.outcome import Trials
 from ga.trials.trials import duration, run_trials
 from hil.errors import WrongUse
+from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.bounds import bounds_for, narrowed
 from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved, unproven
 from hil.recording.ahead import Progress
 from hil.signals import constants as c
-from hil.uncertainty.blocks import Blocks
 
 Array = NDArray[np.float64]
 

@@ -25,11 +25,11 @@ from ga.model.record import Regressors, Term
 from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import covariance
 from hil.signals import constants as c
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import covariance
 
 Array = NDArray[np.float64]
 

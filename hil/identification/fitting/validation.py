@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.record import positive_among
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import distinct as decided
 from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
 from hil.signals import constants as c
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import distinct as decided
 
 Array = NDArray[np.float64]
 

@@ -29,14 +29,14 @@ from scipy.special import ndtr
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, of_kind, size_of
 from hil.identification.candidates.choice import Choice
-from hil.identification.mixture.deflection import read_with_errors
+from hil.identification.deflection.correction import read_with_errors
 from hil.identification.mixture.hidden import hidden, integrated
 from hil.identification.mixture.largest import BENCH, Largest, Selected, contains, largest_model
+from hil.identification.mixture.model_average import AKAIKE, average
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL, UPPER
 from hil.signals.prepare import Signals
-from hil.uncertainty.model_average import AKAIKE, average
 
 Array = NDArray[np.float64]
 

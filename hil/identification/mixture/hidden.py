@@ -36,13 +36,13 @@ from ga.model.effects.springs import SHORTEST_RELAXATION
 from ga.model.memory import falls
 from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from hil.identification.candidates.criterion import by_rate, density_at_zero
-from hil.identification.candidates.held import damping_at, taken_off
+from hil.identification.deflection.held import damping_at, taken_off
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import covariance
 from hil.identification.mixture.largest import Largest, Selected
+from hil.identification.mixture.model_average import without_positive
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import covariance
-from hil.uncertainty.model_average import without_positive
 
 Array = NDArray[np.float64]
 

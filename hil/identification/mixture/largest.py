@@ -23,12 +23,12 @@ from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
 from hil.identification.candidates.fits import own
-from hil.identification.candidates.held import rate_beside_jumps
+from hil.identification.deflection.held import rate_beside_jumps
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import Covariance, covariance
+from hil.identification.mixture.model_average import AKAIKE
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import Covariance, covariance
-from hil.uncertainty.model_average import AKAIKE
 
 Array = NDArray[np.float64]
 

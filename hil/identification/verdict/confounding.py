@@ -13,10 +13,10 @@ from ga.model.terms import TERMS, of_kind, of_role, size_of
 from hil.diagnostics import Diagnostic, again
 from hil.identification.candidates.criterion import predicts_better
 from hil.identification.candidates.fits import LATE, Fits
+from hil.identification.verdict.criteria import dampings_behind_filter
 from hil.identification.verdict.evidence import Evidence
 from hil.printable import quoted
 from hil.signals import constants as c
-from hil.uncertainty.criteria import dampings_behind_filter
 
 Array = NDArray[np.float64]
 

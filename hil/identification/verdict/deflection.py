@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnostics import Diagnostic
+from hil.identification.deflection.correction import DeflectionErrors
+from hil.identification.deflection.instruments import is_instrument
+from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
 from hil.identification.result import Deflection
 from hil.identification.verdict.evidence import Evidence
 from hil.signals import constants as c
 from hil.signals.constants import RELEVANT
 from hil.signals.prepare import Signals
-from hil.uncertainty.deflection.correction import DeflectionErrors
-from hil.uncertainty.deflection.instruments import is_instrument
-from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
 Array = NDArray[np.float64]
 

@@ -16,15 +16,14 @@ from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
 from ga.trials.outcome import Trials
+from hil.identification.deflection.correction import DeflectionErrors
+from hil.identification.fitting.confidence import ConfidenceIntervals
 from hil.identification.fitting.unloaded import Span
-from hil.identification.result import Conditional, Estimate, Repeatability, Validation, interval
+from hil.identification.misfit.outcome import LackOfFit
+from hil.identification.result import Conditional, Estimate, Repeatability, Validation, VarianceComponents, interval
+from hil.identification.verdict.criteria import distinguishable, friction_likeness, narrow
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-from hil.uncertainty.confidence import ConfidenceIntervals
-from hil.uncertainty.criteria import distinguishable, friction_likeness, narrow
-from hil.uncertainty.deflection.correction import DeflectionErrors
-from hil.uncertainty.misfit import LackOfFit
-from hil.uncertainty.stationarity import VarianceComponents
 
 Array = NDArray[np.float64]
 

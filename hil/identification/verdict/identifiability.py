@@ -11,13 +11,13 @@ from ga.model.terms import PARAMETERS, of_kind, size_of
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic, again
 from hil.identification.fitting.unloaded import DEFLECTION, UNLOADED_PLACE
+from hil.identification.result import VarianceComponents
 from hil.identification.verdict.confounding import confounded, several_speeds
+from hil.identification.verdict.criteria import distinguishable, narrow
 from hil.identification.verdict.evidence import Evidence, sliding, span_of_stiffness
 from hil.printable import quoted
 from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
-from hil.uncertainty.criteria import distinguishable, narrow
-from hil.uncertainty.stationarity import VarianceComponents
 from hil.units import with_unit
 
 Array = NDArray[np.float64]

@@ -13,14 +13,14 @@ from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
 from ga.model.terms import TERMS, of_kind, of_role
 from hil.diagnostics import Diagnostic, again
-from hil.identification.candidates.described import Described, tested_motion
+from hil.identification.misfit.described import Described, tested_motion
+from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
+from hil.identification.misfit.outcome import LackOfFit
 from hil.identification.result import Estimate
+from hil.identification.verdict.criteria import narrow
 from hil.printable import quoted
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-from hil.uncertainty.criteria import narrow
-from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-from hil.uncertainty.misfit import LackOfFit
 
 
 def misfit_diagnostics(

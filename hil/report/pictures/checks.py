@@ -16,9 +16,9 @@ from hil.report.identification import milli
 from hil.report.pictures.traces import modelled
 
 if TYPE_CHECKING:
+    from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
+    from hil.identification.misfit.outcome import LackOfFit
     from hil.identification.result import Identification
-    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
-    from hil.uncertainty.misfit import LackOfFit
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from hil.report.pictures.traces import Traces
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
     from hil.identification.result import Identification
-    from hil.uncertainty.dynamic_stiffness import DynamicStiffness
 
 NAMES = ("loop", "traces", "residuals", "fit", "intervals", "selection", "dynamic", "convergence", "landscape")
 """The names of all pictures, of which a result has most."""

@@ -12,6 +12,8 @@ from ga.model.coupling import parse
 from ga.model.separable import Problem, fit
 from hil.identification.candidates.choice import Choice, choose
 from hil.identification.candidates.criterion import by_rate, density_at_zero
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import covariance
 from hil.identification.identify import identify
 from hil.identification.mixture import average, hidden, largest
 from hil.identification.mixture.average import Averaged
@@ -20,8 +22,6 @@ from hil.identification.result import Step
 from hil.recording.reader import Array, Recording
 from hil.report.identification_json import as_json
 from hil.signals.prepare import prepare
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import covariance
 
 from ..conftest import Maker
 from .chirps import building_up, chirp, signals

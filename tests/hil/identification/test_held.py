@@ -14,7 +14,7 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
-from hil.identification.candidates.held import most_taken_off, taken_off
+from hil.identification.deflection.held import most_taken_off, taken_off
 from hil.identification.identify import identify
 from hil.recording.reader import Array
 

@@ -16,6 +16,8 @@ from ga.model.memory import yielding
 from ga.model.trajectory import Motion
 from hil.diagnostics import Diagnostic
 from hil.identification.identify import identify
+from hil.identification.misfit.effects import effect_of
+from hil.identification.misfit.outcome import LackOfFit, Respect, Suspect
 from hil.identification.result import Estimate, Identification, Repeatability
 from hil.identification.verdict import confounding
 from hil.identification.verdict.evidence import Evidence, span_met, span_of_stiffness, with_misfit
@@ -25,8 +27,6 @@ from hil.recording.reader import Array
 from hil.report.identification import headline, summary_lines
 from hil.report.identification_json import as_json
 from hil.signals.inspection import inspect
-from hil.uncertainty.effects import effect_of
-from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
 
 from ..conftest import Maker
 from .conftest import SEARCH

@@ -14,8 +14,8 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from ga.model.coupling import parse
-from hil.identification.candidates.described import Described
 from hil.identification.identify import identify
+from hil.identification.misfit.described import Described
 from hil.identification.verdict import misfit
 from hil.recording.reader import Array
 

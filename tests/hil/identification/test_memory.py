@@ -15,7 +15,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from ga.lad.out_of_core import reduce
-from hil.uncertainty.confidence import confidence_intervals
+from hil.identification.fitting.confidence import confidence_intervals
 from hil.identification.fitting.disk_table import DiskTable
 
 ROWS, BLOCK = 2_000_000, 1 << 17

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import firwin
 
 from ga.model.trajectory import Motion
-from hil.identification.candidates.held import rate_beside_jumps
+from hil.identification.deflection.held import rate_beside_jumps
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from ga.model.coupling import parse
 from hil.errors import WrongUse
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.identification.result import Conditional, Identification, Step
+from hil.identification.result import Conditional, Identification, Step, VarianceComponents
 from hil.report.html_page import check_page_name
 from hil.report.identification import (
     equation,
@@ -30,7 +30,6 @@ from hil.report.identification_json import as_json
 from hil.report.identification_page import write_page
 from hil.report.pictures.estimates import intervals_text
 from hil.report.pictures.result import figure
-from hil.uncertainty.stationarity import VarianceComponents
 
 from ..conftest import Maker
 from .conftest import recording

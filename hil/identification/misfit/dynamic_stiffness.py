@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.identification.deflection.instruments import is_instrument
 from hil.signals import constants as c
-from hil.uncertainty.deflection.instruments import is_instrument
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -14,11 +14,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.signals.constants import FEWEST, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND, WHITE_COUNTS
-from hil.uncertainty.deflection.fitted import Fitted, sampled
-from hil.uncertainty.deflection.instruments import by_command
-from hil.uncertainty.deflection.rounding import rounded_at_rest
-from hil.uncertainty.deflection.simulation import is_in_step, simulated_change
+from ga.model.separable import SeparableModel
+from hil.identification.deflection.fitted import Fitted, sampled
+from hil.identification.deflection.instruments import by_command
+from hil.identification.deflection.rounding import rounded_at_rest
+from hil.identification.deflection.simulation import is_in_step, simulated_change
+from hil.signals.constants import COUPLING, FEWEST, LOOKED, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND, WHITE_COUNTS
+from hil.signals.deflection_noise import smallest_step
+from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
 
@@ -51,6 +54,36 @@ class DeflectionErrors:
     def is_weak(self) -> bool:
         """Return whether there is a command, but the motion does not follow it."""
         return self.strength is not None and self.strength < WEAK_COMMAND
+
+
+def read_with_errors(
+    model: SeparableModel, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
+) -> DeflectionErrors | None:
+    """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
+
+    used (n,): the samples that the model is fitted to. values (p + q,): the exact optimum, SI. half_width (p + q,):
+    half the intervals of the values, SI.
+    """
+    window, motion = signals.window, signals.motion
+    places = [at for at, one in enumerate((*model.linear, *model.nonlinear)) if one.name in COUPLING]
+    if window is None or not places or not np.isfinite(half_width[places]).all():
+        return None
+    p = len(model.linear)
+    return deflection_errors(
+        Fitted(
+            model=model,
+            motion=motion,
+            torque=signals.torque,
+            used=used,
+            genes=values[:p],
+            nonlinear=values[p:],
+            half_width=half_width,
+            decisive=tuple(places),
+            window=window,
+            command=signals.command if motion.part_of is None else None,
+            torque_count=smallest_step(signals.as_read[:LOOKED]),
+        )
+    )
 
 
 def deflection_errors(fitted: Fitted) -> DeflectionErrors:

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.identification.candidates.residual_spectrum import ResidualSpectrum, measure
+from hil.identification.fitting.blocks import Blocks
 from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, SPREAD, TAKES_PART, UPPER
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.residual_spectrum import ResidualSpectrum, measure
 
 Array = NDArray[np.float64]
 

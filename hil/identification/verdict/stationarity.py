@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,30 +13,16 @@ from numpy.typing import NDArray
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import ConfidenceIntervals, confidence_intervals
+from hil.identification.result import VarianceComponents
+from hil.identification.verdict.random_effects import between, is_outside
 from hil.signals import constants as c
 from hil.signals.constants import FALSE_ALARMS, NORMAL, PRECISE, QUARTERS, RELEVANT, ZERO_SHARE
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
-from hil.uncertainty.random_effects import between, is_outside
 
 Array = NDArray[np.float64]
 
 _OTHERS = {True: "the others", False: "the other one"}
-
-
-@dataclass(frozen=True, slots=True)
-class VarianceComponents:
-    """The scatter of one parameter, in its unit. within: its standard error in a recording. between: its standard
-    deviation between recordings.
-
-    values: the estimate of each recording alone, NaN if the recording cannot estimate the parameter. p_alike: the
-    probability of values this far apart if the recordings did not differ.
-    """
-
-    within: float
-    between: float
-    values: tuple[float, ...] = ()
-    p_alike: float = 1.0
 
 
 def pooled_intervals(

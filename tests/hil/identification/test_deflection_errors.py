@@ -11,14 +11,14 @@ from scipy.signal import lfilter
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
+from hil.identification.deflection import correction
+from hil.identification.deflection.correction import deflection_errors
+from hil.identification.deflection.fitted import Change, Fitted
+from hil.identification.deflection.simulation import noisier
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import confidence_intervals
 from hil.recording.reader import Array
 from hil.signals.rate.windows import window_for
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.deflection import correction
-from hil.uncertainty.deflection.correction import deflection_errors
-from hil.uncertainty.deflection.fitted import Change, Fitted
-from hil.uncertainty.deflection.simulation import noisier
 
 TRUE = np.array([0.3, 3e-3])
 RATE = 60.0  # Hz: so near the band that a low-pass cannot take the noise away

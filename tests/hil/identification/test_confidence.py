@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 from ga.lad.exact import least_absolute_deviations, not_negative
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import confidence_intervals
 from hil.identification.result import interval
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import confidence_intervals
 
 
 def coverage(correlation: float, runs: int) -> tuple[float, float]:

@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.identification.deflection.instruments import delayed
+from hil.identification.misfit.effects import EFFECTS, NOISE_GAIN, Effect, reading_noise, smoothed
+from hil.identification.misfit.outcome import LackOfFit, Respect, Suspect
+from hil.identification.misfit.regressors import NAMES, cuts, mean_over_plane, regressors
+from hil.identification.misfit.scores import Scores
 from hil.signals import constants as c
 from hil.signals.deflection_noise import skew_by_noise
-from hil.uncertainty.effects import EFFECTS, NOISE_GAIN, Effect, delayed, reading_noise, smoothed
-from hil.uncertainty.misfit import LackOfFit, Respect, Suspect
-from hil.uncertainty.regressors import NAMES, cuts, mean_over_plane, regressors
-from hil.uncertainty.scores import Scores
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.identification.deflection.fitted import Change, Fitted, behind, clipped, moved
 from hil.signals.constants import BLOCKS, DELAYS, NORMAL
 from hil.signals.rate.windows import Window
-from hil.uncertainty.deflection.fitted import Change, Fitted, behind, clipped, moved
-from hil.uncertainty.effects import delayed
 
 Array = NDArray[np.float64]
 
@@ -43,6 +42,11 @@ def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] |
     error = np.sqrt(BLOCKS * np.var(sums, axis=0, ddof=1))
     change = Change(each.sum(axis=0) / sizes, NORMAL * error / sizes)
     return change, float(min(1.0, 1.0 / max(float(less_certain.max()), 1e-300)))
+
+
+def delayed(motion: Motion, values: Array, delay: float) -> Array:
+    """Return values (n,) delayed by `delay` s; before a piece its first value is used, and beyond it its last value."""
+    return motion.by_piece(lambda time, own: np.interp(time - delay, time, own) if len(own) else own, values)
 
 
 def is_instrument(command: Array | None) -> TypeGuard[Array]:

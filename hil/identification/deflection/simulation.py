@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.identification.deflection.fitted import Change, Fitted, behind, moved, sampled, solved
 from hil.signals.constants import ERROR_LEVEL, IN_STEP, NARROWER, NORMAL, PAIRS, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth
-from hil.uncertainty.deflection.fitted import Change, Fitted, behind, moved, sampled, solved
 
 Array = NDArray[np.float64]
 

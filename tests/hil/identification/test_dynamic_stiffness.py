@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
+from hil.identification.misfit.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 from ga.lad.exact import least_absolute_deviations
 from hil.errors import Untrustworthy
+from hil.identification.series_compliance import Element, Excitation, corrected
 from hil.recording.reader import Array
-from hil.uncertainty.series_compliance import Element, Excitation, corrected
 
 KC, BC = 17.75e-3, 0.19e-3  # the paper's joint
 SLOW = Excitation.flat((0.001, 0.01))

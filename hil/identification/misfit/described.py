@@ -13,18 +13,18 @@ from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind
 from ga.model.trajectory import Motion
-from hil.identification.candidates.held import damping_at, of_jerk
+from hil.identification.deflection.fitted import linearised
+from hil.identification.deflection.held import damping_at, of_jerk
+from hil.identification.deflection.instruments import followed, is_instrument
+from hil.identification.deflection.simulation import noisier
+from hil.identification.misfit.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
+from hil.identification.misfit.effects import EFFECTS
+from hil.identification.misfit.lack_of_fit import Residuals, lack_of_fit, predicted
+from hil.identification.misfit.outcome import Lacking, LackOfFit
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import is_smooth
-from hil.uncertainty.deflection.fitted import linearised
-from hil.uncertainty.deflection.instruments import followed, is_instrument
-from hil.uncertainty.deflection.simulation import noisier
-from hil.uncertainty.dynamic_stiffness import DynamicStiffness, dynamic_stiffness
-from hil.uncertainty.effects import EFFECTS
-from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
-from hil.uncertainty.misfit import Lacking, LackOfFit
 
 Array = NDArray[np.float64]
 

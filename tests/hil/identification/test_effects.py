@@ -11,10 +11,10 @@ from ga.model.record import Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.identification.candidates.selection import select
+from hil.identification.misfit.effects import EFFECTS, Effect, reading_noise
+from hil.identification.misfit.lack_of_fit import Residuals, lack_of_fit
 from hil.signals.defects import Defects
 from hil.signals.prepare import Signals
-from hil.uncertainty.effects import EFFECTS, Effect, reading_noise
-from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit
 
 Array = NDArray[np.float64]
 

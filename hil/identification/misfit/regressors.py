@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
+from hil.identification.deflection.instruments import delayed
+from hil.identification.misfit.effects import centred, direction, of_readings, progress
 from hil.signals.constants import CELLS_A_SIDE, LENGTHS, TIMES, WAVES
-from hil.uncertainty.effects import centred, delayed, direction, of_readings, progress
 
 Array = NDArray[np.float64]
 

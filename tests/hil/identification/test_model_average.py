@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from hil.uncertainty.model_average import AKAIKE, Array, average, without_positive
+from hil.identification.mixture.model_average import AKAIKE, Array, average, without_positive
 
 NOISE = 0.3
 AS_RULE = {2: AKAIKE, 3: AKAIKE}

@@ -12,12 +12,12 @@ from ga.evolution.evolution import PRESETS
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from hil.errors import WrongUse
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import ConfidenceIntervals, confidence_intervals
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import ConfidenceIntervals, confidence_intervals
-from hil.uncertainty.stationarity import (
-    VarianceComponents,
+from hil.identification.result import VarianceComponents
+from hil.identification.verdict.stationarity import (
     disagreement,
     other_zeros,
     pooled_intervals,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, linregress, t
 
+from hil.identification.verdict.random_effects import between, drift, is_outside
 from hil.recording.reader import Array
-from hil.uncertainty.random_effects import between, drift, is_outside
 
 
 def test_with_equal_errors_the_variances_are_those_of_the_analysis_of_variance() -> None:

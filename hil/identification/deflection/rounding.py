@@ -6,8 +6,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from hil.identification.deflection.fitted import Fitted, moved
 from hil.signals.constants import NORMAL, RESTS, ROUNDING, STILL, WITHIN
-from hil.uncertainty.deflection.fitted import Fitted, moved
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ga.model.terms import size_of
 from ga.model.trajectory import Motion
+from hil.identification.deflection.instruments import followed, is_instrument
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-from hil.uncertainty.deflection.instruments import followed, is_instrument
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ from hil.experiment_design.advice import of_profile
 from hil.experiment_design.assessment import assess, task_of
 from hil.identification.fitting.solution import Search
 from hil.identification.identify import identify
+from hil.identification.verdict.criteria import friction_likeness
 from hil.stand.file import SIMULATED, parse
-from hil.uncertainty.criteria import friction_likeness
 
 RATE, DURATION = 250.0, 6.0
 SEARCH = Search("default", PRESETS["default"], trials=1, seed=0, workers=1, bounds={})

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from hil.uncertainty.blocks import Blocks
-from hil.uncertainty.confidence import confidence_intervals
-from hil.uncertainty.residual_spectrum import measure
+from hil.identification.candidates.residual_spectrum import measure
+from hil.identification.fitting.blocks import Blocks
+from hil.identification.fitting.confidence import confidence_intervals
 
 Array = NDArray[np.float64]
 

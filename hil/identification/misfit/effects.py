@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ga.model.record import Mark, Parameter, Regressors, Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
+from hil.identification.deflection.instruments import delayed
 from hil.signals.angle import difference
 from hil.signals.constants import DIFFERENCE, LENGTHS, SHORT_LAG, SMALL_TORQUE, SMOOTH, SOFT, TIMES
 
@@ -34,11 +35,6 @@ NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 def centred(motion: Motion) -> Array:
     """Return the deflection (n,), rad, relative to the middle of its range."""
     return motion.dtheta - 0.5 * float(motion.dtheta.max() + motion.dtheta.min())
-
-
-def delayed(motion: Motion, values: Array, delay: float) -> Array:
-    """Return values (n,) delayed by `delay` s; before a piece its first value is used, and beyond it its last value."""
-    return motion.by_piece(lambda time, own: np.interp(time - delay, time, own) if len(own) else own, values)
 
 
 def smoothed(motion: Motion, values: Array, frequency: float) -> Array:

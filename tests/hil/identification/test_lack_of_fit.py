@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
-from hil.uncertainty.lack_of_fit import Residuals, lack_of_fit, predicted
-from hil.uncertainty.misfit import LackOfFit
+from hil.identification.misfit.lack_of_fit import Residuals, lack_of_fit, predicted
+from hil.identification.misfit.outcome import LackOfFit
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.identification.misfit.effects import Effect
 from hil.signals import constants as c
-from hil.uncertainty.effects import Effect
 
 Array = NDArray[np.float64]
 

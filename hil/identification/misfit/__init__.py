@@ -1,0 +1,1 @@
+"""Test whether a model describes its recording, and how the misfit changes Kc and Bc."""

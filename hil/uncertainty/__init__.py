@@ -1,1 +1,0 @@
-"""Compute confidence intervals, and check whether they may be trusted."""
