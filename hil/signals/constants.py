@@ -236,10 +236,7 @@ GAP_FACTOR = (0.7, 1.5)  # times -Kc: the factor of the column of a gap, whose w
 NARROW_GAP = 0.03  # of the largest deflection: half the width below which a gap may be narrower than its column
 BY_CHANCE = 0.01  # probability that one of all effects explains as much by chance
 MOST_NOISE = 4.0  # times the power that noise of the deflection adds to the residuals, the most that it explains
-SMALL_MISFIT = (
-    1e-3,
-    5e-3,
-)  # relative changes of Kc and Bc, up to which a misfit widens the intervals without a warning
+SMALL_MISFIT = (1e-3, 5e-3)  # relative changes of Kc and Bc, up to which a misfit widens intervals without a warning
 PLAIN_MISFIT = 0.1  # of the residuals' power: so much is a misfit even if it changes neither Kc nor Bc
 OF_NOISE = 0.5  # of what is predicted: if errors explain less, there is another effect too
 DOUBLED_ERRORS = 1.5  # times its own power, that doubled errors of the motion add to the prediction
@@ -340,9 +337,7 @@ BY_CHANCE_APART = 0.05  # probability, below which two results differ
 
 # When a result is trusted, planned and identified
 COUPLING: Final = ("Kc", "Bc")  # names of the parameters that a usable result must contain
-INFLATION = (
-    300.0  # variance inflation of a parameter that 6 % (300**-0.5) of error in the columns make wrong by its value
-)
+INFLATION = 300.0  # variance inflation, at which 6 % (300**-0.5) of error in the columns make a value wrong by itself
 INTERVAL = 0.35  # half the interval of Kc or Bc over its value: two recordings of one joint may then differ by a half
 UNCERTAIN = 0.1  # the same, from which a warning says why the interval is so wide
 LIKE_FRICTION = 0.95  # `friction_likeness` from which Bc cannot be distinguished from a friction that the model lacks

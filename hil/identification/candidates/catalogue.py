@@ -143,31 +143,18 @@ class Catalogue:
 
     def _add_point(self, terms: tuple[str, ...], values: Mapping[str, float], place: tuple[int, ...]) -> None:
         model = model_of(self.band.motion, terms)
+        nonlinear = np.array([values[one.name] for one in model.nonlinear])
+        in_smallest = np.array([one in _OF_SMALLEST for one in model.linear])
+        positive = [one.positive for one in model.linear if one not in _OF_SMALLEST]
         for lag in (self.lag, 0.0) if model.chooses_edge else (self.lag,):
-            self._add_columns(model, terms, values, place, lag)
-
-    def _add_columns(
-        self,
-        model: CouplingModel,
-        terms: tuple[str, ...],
-        values: Mapping[str, float],
-        place: tuple[int, ...],
-        lag: float,
-    ) -> None:
-        raw = model.raw_columns(self._whole, np.array([values[one.name] for one in model.nonlinear]), lag)
-        number = len(self._smallest.T)
-        in_smallest = [one in _OF_SMALLEST for one in model.linear]
-        own = [column for column, base in zip(raw.T, in_smallest, strict=True) if not base]
-        positive = [one.positive for one, base in zip(model.linear, in_smallest, strict=True) if not base]
-        changed = (raw[:, np.array(in_smallest)] - self._smallest) @ self._genes[:number]
-        at = self._added(own)
-        held = tuple(one for one, is_positive in zip(at, positive, strict=True) if is_positive)
-        of_change = self._added([changed]) if np.std(changed) > 1e-6 * self.size else ()
-        begun = self._added(self._beginnings(terms, values))
-        columns = tuple(dict.fromkeys((*at, *of_change, *begun)))
-        self.points.append(
-            Point(terms, dict(values), columns, held + of_change, of_change[0] if of_change else -1, place)
-        )
+            raw = model.raw_columns(self._whole, nonlinear, lag)
+            changed = (raw[:, in_smallest] - self._smallest) @ self._genes[: len(self._smallest.T)]
+            at = self._added(list(raw.T[~in_smallest]))
+            held = tuple(one for one, is_positive in zip(at, positive, strict=True) if is_positive)
+            of_change = self._added([changed]) if np.std(changed) > 1e-6 * self.size else ()
+            columns = tuple(dict.fromkeys((*at, *of_change, *self._added(self._beginnings(terms, values)))))
+            first = of_change[0] if of_change else -1
+            self.points.append(Point(terms, dict(values), columns, held + of_change, first, place))
 
     def _beginnings(self, terms: Sequence[str], values: Mapping[str, float]) -> list[Array]:
         """Return the columns of the torque that unknown states at the beginning of pieces may cause."""

@@ -70,9 +70,9 @@ class Criterion:
         """Return the gain of a term, and its cost: the part subtracted from the likelihood ratio. Both are twice log
         odds.
         """
-        alike, count = self.correlation(larger, term), len(self.signs)
-        more = _more_parameters(smaller, larger)
-        return self._gain(self.ratio(smaller, larger), count, alike, more), self._cost(count, alike, more)
+        alike = self.correlation(larger, term)
+        cost = self._cost(len(self.signs), alike, _more_parameters(smaller, larger))
+        return self.ratio(smaller, larger) / alike - cost, cost
 
     def ratio(self, one: Candidate, other: Candidate) -> float:
         """Return twice the log likelihood of the model `other` less that of the model `one`, for independent
@@ -101,15 +101,10 @@ class Criterion:
         # in slow ramps the slowest lines hold most of what a gap does: by their power a real one would not be found
         return float(spectrum.by_bands[0, 0]) / power
 
-    def _gain(self, ratio: float, count: float, alike: float, more: int) -> float:
-        """Return by how much the criterion improves with `more` additional parameters, after their cost is subtracted.
-
-        ratio: twice the log likelihood ratio of the larger model to the smaller one. count: number of samples. alike:
-        the factor by which correlated residuals reduce the number of independent samples.
-        """
-        return ratio / alike - self._cost(count, alike, more)
-
     def _cost(self, count: float, alike: float, more: int) -> float:
+        """Return the cost of `more` additional parameters. count: number of samples. alike: the factor by which
+        correlated residuals reduce the number of independent samples.
+        """
         chosen_from = math.log(self.choices)  # their gamma of 1/2
         return more * math.log(max(count / alike, math.e)) + chosen_from
 
@@ -119,7 +114,7 @@ class Criterion:
             return math.inf
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
         ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))
-        return self._gain(ratio, share * len(self.signs), alike, _more_parameters(smaller, larger))
+        return ratio / alike - self._cost(share * len(self.signs), alike, _more_parameters(smaller, larger))
 
 
 def by_rate(count: int, density: float, size: float) -> float:

@@ -15,7 +15,7 @@ from ga.model.terms import SMALLEST, TERMS, is_addable
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFit, BandFits
 from hil.identification.candidates.catalogue import Catalogue, model_of
-from hil.identification.candidates.search import Candidate, Search, is_complete
+from hil.identification.candidates.search import Points, PointSearch, is_complete
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
@@ -34,7 +34,7 @@ def proposed(
     terms: those considered besides the smallest model's.
     """
     catalogue = Catalogue(Band.of(signals, seen), terms)
-    search = Search(catalogue)
+    search = PointSearch(catalogue)
     fits = _fits(search)
     search = _sharpened(search, _fitted(search, fits, search.first()))
     best: BandFit | None = None
@@ -56,7 +56,7 @@ def proposed(
     return fits.best(), values
 
 
-def _sharpened(search: Search, fit: BandFit) -> Search:
+def _sharpened(search: PointSearch, fit: BandFit) -> PointSearch:
     """Return the search with the noise model of a fit, and with the fitted values of each term that may help alone."""
     catalogue = search.catalogue
     search = _learned(catalogue, fit)
@@ -67,20 +67,20 @@ def _sharpened(search: Search, fit: BandFit) -> Search:
     return _learned(catalogue, fit) if alone else search
 
 
-def _learned(catalogue: Catalogue, fit: BandFit) -> Search:
+def _learned(catalogue: Catalogue, fit: BandFit) -> PointSearch:
     """Return the search with the noise model of a fit, and with delays and lags of the torque of this fit."""
     catalogue.band = catalogue.band.with_noise(fit.residuals)
     catalogue.read(_coupling_torque(catalogue, fit))
-    search = Search(catalogue)
+    search = PointSearch(catalogue)
     search.learn_spread()
     return search
 
 
-def _fits(search: Search) -> BandFits:
+def _fits(search: PointSearch) -> BandFits:
     return BandFits(search.catalogue.band, search.score, search.catalogue.size)
 
 
-def _fitted(search: Search, fits: BandFits, candidate: Candidate, near: BandFit | None = None) -> BandFit:
+def _fitted(search: PointSearch, fits: BandFits, candidate: Points, near: BandFit | None = None) -> BandFit:
     values = search.values(candidate)
     return fits.fit(search.terms(candidate), values if near is None else {**near.values, **values})
 
@@ -107,9 +107,9 @@ def _account_for_the_same(one: str, other: str) -> bool:
     return late or other in first.excludes or one in second.excludes
 
 
-def _different(search: Search, found: Sequence[Candidate]) -> list[Candidate]:
+def _different(search: PointSearch, found: Sequence[Points]) -> list[Points]:
     """Return the first candidates of different terms, without those that only have other grid values."""
-    first: dict[frozenset[str], Candidate] = {}
+    first: dict[frozenset[str], Points] = {}
     for one in found:
         first.setdefault(frozenset(search.terms(one)), one)
     return list(first.values())[: c.FITTED]

@@ -22,7 +22,7 @@ from hil.identification.candidates.catalogue import Catalogue, Point
 from hil.signals import constants as c
 
 Array = NDArray[np.float64]
-Candidate = tuple[int, ...]
+Points = tuple[int, ...]
 """The indices of a candidate's points in the catalogue, ascending."""
 
 
@@ -72,7 +72,7 @@ def _chance(record: Term) -> float:
     return min(usual, c.PRIOR_BREAKING) if record.breaks else usual
 
 
-class Search:
+class PointSearch:
     """The search among the points of a catalogue, for one noise model."""
 
     def __init__(self, catalogue: Catalogue) -> None:
@@ -81,7 +81,7 @@ class Search:
         self.score = Score(len(self._target))
         self._gram, self._products = self._columns @ self._columns.T, self._columns @ self._target
         self._power = float(self._target @ self._target)
-        self._seen = dict[Candidate, float]()
+        self._seen = dict[Points, float]()
         kinds = [point.terms for point in self.points]
         self._kinds = {kind: np.array([at for at, one in enumerate(kinds) if one == kind]) for kind in kinds}
         self._odds = np.array([odds(kind) - 2.0 * math.log(len(self._kinds[kind])) for kind in kinds])
@@ -95,11 +95,11 @@ class Search:
             if width
         }
 
-    def terms(self, candidate: Candidate) -> tuple[str, ...]:
+    def terms(self, candidate: Points) -> tuple[str, ...]:
         """Return the terms of a candidate besides those of the smallest model."""
         return tuple(term for number in candidate for term in self.points[number].terms)
 
-    def values(self, candidate: Candidate) -> dict[str, float]:
+    def values(self, candidate: Points) -> dict[str, float]:
         """Return the nonlinear parameters of a candidate, SI, by name."""
         found = {name: value for number in candidate for name, value in self.points[number].values.items()}
         at = self._at(candidate)
@@ -114,7 +114,7 @@ class Search:
                     found[one.name] *= max(size[point.changed], 0.0)
         return found
 
-    def rated(self, candidate: Candidate) -> float:
+    def rated(self, candidate: Points) -> float:
         """Return the score of a candidate. A negative factor that must not be negative counts as zero."""
         if candidate in self._seen:
             return self._seen[candidate]
@@ -131,7 +131,7 @@ class Search:
         found = self.score.of(square, self._parameters[chosen].sum()) + self._odds[chosen].sum() - lost
         return self._seen.setdefault(candidate, float(found))
 
-    def beside(self, candidate: Candidate) -> Array:
+    def beside(self, candidate: Points) -> Array:
         """Return the scores (points,) of the candidates with one more point, -inf for impossible ones."""
         at, scores = self._at(candidate), np.full(len(self.points), -np.inf)
         try:
@@ -153,9 +153,9 @@ class Search:
             scores[possible] = np.where(adds, found, -np.inf)
         return scores
 
-    def first(self) -> Candidate:
+    def first(self) -> Points:
         """Return the candidate of a forward selection, each step of which adds the best point."""
-        best: Candidate = ()
+        best: Points = ()
         while True:
             scores = self.beside(best)
             likely = np.argsort(-scores)[: 2 * c.GRID_POINTS]
@@ -165,10 +165,10 @@ class Search:
                 return best
             best = better
 
-    def found(self) -> list[tuple[float, Candidate]]:
+    def found(self) -> list[tuple[float, Points]]:
         """Search best first; return the candidates inside Occam's window with their scores, the best one first."""
         start = self.first()
-        best, queue, done = self.rated(start), [(-self.rated(one), one) for one in {(), start}], set[Candidate]()
+        best, queue, done = self.rated(start), [(-self.rated(one), one) for one in {(), start}], set[Points]()
         heapq.heapify(queue)
         while queue and len(done) < c.EXPANDED:
             against, candidate = heapq.heappop(queue)
@@ -190,12 +190,12 @@ class Search:
         self.score = Score.measured(self._columns[at], self._target - factors @ self._columns[at])
         self._seen.clear()
 
-    def showing(self) -> list[Candidate]:
+    def showing(self) -> list[Points]:
         """Return candidates of one point: the best of each term that has nonlinear parameters and may help alone."""
         likely = self._best_of_kinds(self.beside(()), self.rated(()) + c.GRID_LOSS, 1)
         return [(number,) for number in likely if self.points[number].values]
 
-    def _neighbours(self, candidate: Candidate, best: float) -> Iterator[Candidate]:
+    def _neighbours(self, candidate: Points, best: float) -> Iterator[Points]:
         """Yield the candidates with one point more, one point less, or one point replaced by another."""
         least = best - c.OCCAM - c.GRID_LOSS
         for number in self._best_of_kinds(self.beside(candidate), least, c.GRID_POINTS):
@@ -216,7 +216,7 @@ class Search:
             found += likely[scores[likely] > least].tolist()
         return found
 
-    def _at(self, candidate: Candidate) -> list[int]:
+    def _at(self, candidate: Points) -> list[int]:
         own = (at for number in candidate for at in self.points[number].at)
         return list(dict.fromkeys((*self.catalogue.base, *own)))
 
@@ -255,7 +255,7 @@ class Search:
         return alone.any(axis=1), gains
 
 
-def _with(candidate: Candidate, number: int) -> Candidate:
+def _with(candidate: Points, number: int) -> Points:
     return tuple(sorted((*candidate, number)))
 
 

@@ -16,7 +16,7 @@ from ga.model.terms import TERMS
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFits
 from hil.identification.candidates.catalogue import Catalogue, model_of
-from hil.identification.candidates.search import Score, Search, odds
+from hil.identification.candidates.search import PointSearch, Score, odds
 from hil.signals.prepare import Signals
 
 from .chirps import BC, KC, SELECTED, chirp, linear, noise, signals
@@ -68,7 +68,7 @@ def test_the_column_of_what_a_term_changes_is_the_difference_that_it_makes_to_th
 
 def test_all_scores_from_the_gram_matrix_are_those_of_least_squares_fits() -> None:
     """But that a candidate with a factor that cannot be negative, and is, is rated lower."""
-    search, found = Search(catalogue()), catalogue()
+    search, found = PointSearch(catalogue()), catalogue()
     (columns, target), beside = found.whitened(), search.beside(())
     possible = np.flatnonzero(beside > -np.inf).tolist()
     assert len(possible) > 100
