@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from ga.model.memory import without_beginnings
+from ga.model.cache import ALTERNATING
+from ga.model.memory import Beginnings, beginnings, without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.seen import Seen, reaches
 from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
@@ -305,12 +306,13 @@ class CouplingModel:
         """Return values (n,) or (n, p) without the part that unknown states at the beginning of pieces can explain."""
         if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
             return values
-        valued = self._valued(nonlinear)
+
+        def begun() -> Beginnings:
+            valued = [(term.forgets, own) for term, own in self._valued(nonlinear) if term.forgets is not None]
+            return beginnings(np.stack([forgets(motion, own) for forgets, own in valued]), motion.stretch)
+
         key = self.name, np.asarray(nonlinear, dtype=np.float64).tobytes()
-        begun = motion.begun(
-            key, lambda: np.stack([term.forgets(motion, own) for term, own in valued if term.forgets is not None])
-        )
-        return without_beginnings(values, begun)
+        return without_beginnings(values, motion.kept.get("beginnings", key, begun, ALTERNATING))
 
     def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """Return the regressors of the delayed motion, before a gap or a slack is applied."""

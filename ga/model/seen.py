@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ga.model.cache import ROOM, SMALL
+
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable
 
@@ -67,7 +69,7 @@ class Seen:
         for one in asked:
             columns = tuple(islice(passed, len(one.columns))) if one.filtered else one.columns
             if one.key is not None:
-                one.motion.keep(one.key, columns)
+                one.motion.kept.keep("columns", one.key, columns, 1 + ROOM // (len(one.motion) + SMALL))
             found += [column[self.motion.whole[1]] for column in columns] if one.beyond else columns
         return found
 

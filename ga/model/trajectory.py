@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from ga.model.cache import ALTERNATING, PARTS, ROOM, SMALL, Kept
+from ga.model.cache import ALTERNATING, PARTS, SMALL, Kept
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
-    from ga.model.memory import Beginnings
     from ga.model.spline import Spline
 
     Array = NDArray[np.float64]
@@ -228,20 +227,6 @@ class Motion:
         if delay == 0.0:
             return self
         return self.kept.get("delayed", delay, lambda: self._evaluated(delay, self._curves), ALTERNATING)
-
-    def begun(self, key: tuple[str, bytes], left: Callable[[], Array]) -> Beginnings:
-        """Return the signals that unknown states at the beginning of each piece can cause
-        (`ga.model.memory.beginnings`).
-
-        left (k, n): the weights of those states. key: the model and its parameters, under which the result is cached.
-        """
-        from ga.model.memory import beginnings
-
-        return self.kept.get("beginnings", key, lambda: beginnings(left(), self.stretch), ALTERNATING)
-
-    def keep(self, key: Hashable, columns: tuple[Array, ...]) -> None:
-        """Keep columns (n,) under a key, which names all that they depend on besides the motion."""
-        self.kept.keep("columns", key, columns, 1 + ROOM // (len(self) + SMALL))
 
     def changing(self, delay: float) -> Motion:
         """Return the time derivative of each array of the motion, per second, `delay` seconds before each time."""

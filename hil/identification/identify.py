@@ -44,7 +44,6 @@ from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
 from hil.signals import constants as c
-from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
@@ -157,7 +156,7 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
     # held set-points make the rate, and so Bc, wrong by anything up to `taken_off`
     taken_off = most_taken_off(data.signals) or _most_without_command(data.signals, size_of(fitted, "delay"))
-    rate = NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * solution.values
+    rate = c.NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * solution.values
     rate[[name != "Bc" for name in given[0]]] = 0.0
     exact = replace(pooled, half_width=np.hypot(pooled.half_width, rate))
     own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width

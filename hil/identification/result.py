@@ -18,7 +18,6 @@ from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
 from hil.identification.misfit.outcome import LackOfFit
 from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
-from hil.signals.constants import NORMAL
 from hil.signals.prepare import Signals
 
 
@@ -122,7 +121,7 @@ class Estimate:
     @property
     def stderr(self) -> float:
         """Return the standard error of a normal distribution with the same 95 % interval."""
-        return self.half_width / NORMAL
+        return self.half_width / c.NORMAL
 
     @property
     def exact(self) -> float:
@@ -276,7 +275,7 @@ def interval(value: float, half: float, *, positive: bool) -> tuple[float, float
 def widened(value: float, ends: tuple[float, float], scale: float, *, positive: bool = True) -> tuple[float, float]:
     """Return a 95 % interval with the uncertainty of the torque's scale, relative, which more samples do not reduce."""
     half = max(ends[1] - value, value - ends[0])
-    return interval(value, math.hypot(half, NORMAL * scale * value), positive=positive)
+    return interval(value, math.hypot(half, c.NORMAL * scale * value), positive=positive)
 
 
 def with_scale(one: Estimate, uncertainty: float) -> Estimate:

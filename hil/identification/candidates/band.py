@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
-from hil.signals.constants import FEWEST
 from hil.signals.prepare import Signals
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passing
 from hil.signals.rate.spectrum import power_of
@@ -47,7 +46,7 @@ class Band:
         clear = seen & signals.smooth
         used = clear if c.CERTAIN_RATES[0] < clear.mean() < c.CERTAIN_RATES[1] else seen
         first = motion.time[motion.pieces[0]]
-        low_pass = low_pass_for(first, highest, c.BAND_NEIGHBOURS) if used.all() and len(first) > FEWEST else None
+        low_pass = low_pass_for(first, highest, c.BAND_NEIGHBOURS) if used.all() and len(first) > c.FEWEST else None
         if low_pass is not None:
             sound = np.concatenate([_sound(motion.time[piece], low_pass) for piece in motion.pieces])
             every = max(1, int(0.5 / (low_pass.cut * low_pass.step)))

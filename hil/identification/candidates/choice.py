@@ -19,7 +19,6 @@ from hil.identification.candidates.selection import Selection
 from hil.identification.misfit.described import Described, tested
 from hil.identification.result import Step
 from hil.signals import constants as c
-from hil.signals.constants import FEWEST
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
 
@@ -197,7 +196,7 @@ def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little
     little: an error, N m, that is small enough to be ignored.
     """
     described = ~slow
-    if described.all() or np.count_nonzero(described) < FEWEST:  # too few to fit a model to
+    if described.all() or np.count_nonzero(described) < c.FEWEST:  # too few to fit a model to
         return False
     left, rate = np.abs(residuals), np.abs(motion.dtheta_dot)
     decade = np.floor(np.log10(np.maximum(rate, c.NO_RATE * max(float(rate.max()), np.finfo(float).tiny))))

@@ -22,7 +22,6 @@ from ga.model.terms import TERMS
 from hil.identification.candidates.fits import Candidate, Fits
 from hil.identification.candidates.residual_spectrum import measure
 from hil.signals import constants as c
-from hil.signals.constants import FEWEST
 from hil.signals.deflection_noise import smallest_step
 
 Array = NDArray[np.float64]
@@ -110,7 +109,7 @@ class Criterion:
 
     def _gain_where_smooth(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain of a linear term without the samples with a wrong rate, which imitate a cubic spring."""
-        if not TERMS[term].linear or self.smooth.all() or np.count_nonzero(self.smooth) < FEWEST:
+        if not TERMS[term].linear or self.smooth.all() or np.count_nonzero(self.smooth) < c.FEWEST:
             return math.inf
         share, alike = float(np.mean(self.smooth)), self.correlation(larger, term)
         ratio = share * self.ratio(smaller.on(self.smooth), larger.on(self.smooth))

@@ -12,7 +12,6 @@ from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
 from hil.identification.result import Deflection
 from hil.identification.verdict.evidence import Evidence
 from hil.signals import constants as c
-from hil.signals.constants import RELEVANT
 from hil.signals.prepare import Signals
 
 Array = NDArray[np.float64]
@@ -57,7 +56,7 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
         if not abs(change) < most
     ]
     sizes = [abs(changes.get(name, 0.0)) for name in c.COUPLING]
-    if not said and any(size > least for size, least in zip(sizes, RELEVANT, strict=True)):
+    if not said and any(size > least for size, least in zip(sizes, c.RELEVANT, strict=True)):
         how = "the command" if found.method == "instruments" else "a simulation of the noise, which is less accurate"
         moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
         text = f"{_cause(found)}. They are corrected with {how}: {moved}. To need less correction, {_REMEDY}"

@@ -18,7 +18,6 @@ from hil.identification.fitting.confidence import ConfidenceIntervals, confidenc
 from hil.identification.result import VarianceComponents
 from hil.identification.verdict.random_effects import between, is_outside
 from hil.signals import constants as c
-from hil.signals.constants import FALSE_ALARMS, NORMAL, PRECISE, QUARTERS, RELEVANT, ZERO_SHARE
 
 Array = NDArray[np.float64]
 
@@ -39,7 +38,7 @@ def pooled_intervals(
     widened, components = intervals.half_width.copy(), list[VarianceComponents | None]()
     for at in range(len(widened)):
         usable = [
-            (values[at], half[at] / NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
+            (values[at], half[at] / c.NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
         ]
         if len(usable) < 2:
             components.append(None)
@@ -66,7 +65,7 @@ def disagreement(
             continue
         values = np.array(one.values)
         at, usual = _most_apart(values)
-        if not abs(values[at] - usual) > RELEVANT[0] * abs(usual):
+        if not abs(values[at] - usual) > c.RELEVANT[0] * abs(usual):
             continue
         other = _OTHERS[len(values) > 2]
         differs = f"is {values[at]:.3g} (SI), and that of {other} is zero"
@@ -97,7 +96,7 @@ def other_zeros(
         return []
     values = np.array(one.values)
     at, usual = _most_apart(values)
-    if not abs(values[at] - usual) > ZERO_SHARE * error:
+    if not abs(values[at] - usual) > c.ZERO_SHARE * error:
         return []
     text = (
         f"the torque at rest of {paths[at]} differs by {values[at] - usual:+.3g} N m from {_OTHERS[len(values) > 2]}; "
@@ -116,7 +115,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
     """
     found = []
     for first, last in pairwise((0, *edges)):
-        cuts = np.linspace(first, last, QUARTERS + 1).astype(int).tolist()
+        cuts = np.linspace(first, last, c.QUARTERS + 1).astype(int).tolist()
         values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
         if values and max(values) > c.DIFFERENT * min(values):
             found.append(
@@ -134,7 +133,7 @@ def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list
 
 def _differ(one: VarianceComponents) -> bool:
     """Return whether the values of the recordings differ by more than chance explains. one: the variance components."""
-    return one.p_alike <= FALSE_ALARMS and one.between > c.BETWEEN * one.within
+    return one.p_alike <= c.FALSE_ALARMS and one.between > c.BETWEEN * one.within
 
 
 def _most_apart(values: Array) -> tuple[int, float]:
@@ -163,4 +162,4 @@ def _stiffness(blocks: Blocks, kc: int) -> list[float]:
     kc: the index of the column of Kc.
     """
     values, half = _fitted(blocks)
-    return [float(values[kc])] if len(values) and half[kc] < PRECISE * values[kc] else []
+    return [float(values[kc])] if len(values) and half[kc] < c.PRECISE * values[kc] else []
