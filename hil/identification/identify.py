@@ -117,7 +117,7 @@ def _identified(
             ),
             fitness=float(solution.trials.fitness.min()),
             optimum=solution.optimum.fitness,
-            optimiser_gap=evidence.gap,
+            optimiser_gap=solution.gap,
             samples=data.samples,
             trials=solution.trials,
             seconds=time.perf_counter() - began,
@@ -164,16 +164,12 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
         model=data.choice.model,
         signals=data.signals,
         reference=data.place.reference,
-        columns=solution.columns,
+        solution=solution,
         values=values,
         errors=exact.with_choice(chosen, sampling.half_width),
         exact=(solution.values, own),
         scattered=components,
         unbounded=without_signs(solution.blocks, solution.values, positive_among(parameters)),
-        trials=solution.trials,
-        low=solution.low,
-        high=solution.high,
-        gap=solution.gap,
         holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),
         selected=bool(data.choice.steps),
         span=span,
@@ -222,13 +218,13 @@ def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ:
     """Return the signals and the fit for the lack-of-fit tests. differ: whether the recordings differ from each
     other.
     """
-    columns, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
+    _, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(
         model=data.choice.model,
         signals=data.signals,
         kept=data.used,
-        residuals=target - columns @ solution.values,
-        columns=columns,
+        residuals=target - solution.columns @ solution.values,
+        columns=solution.columns,
         values=solution.values,
         half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
         averaged=bool(data.choice.steps),

@@ -15,9 +15,9 @@ from ga.model.record import Kind, Parameter
 from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind, size_of
 from ga.model.trajectory import Motion
-from ga.trials.outcome import Trials
 from hil.identification.deflection.correction import DeflectionErrors
 from hil.identification.fitting.confidence import ConfidenceIntervals
+from hil.identification.fitting.solution import Solution
 from hil.identification.fitting.unloaded import Span
 from hil.identification.misfit.outcome import LackOfFit
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, VarianceComponents, interval
@@ -38,12 +38,11 @@ class Evidence:
     95 % interval.
 
     - reference: the encoder reading, rad, at which the deflection is zero.
-    - columns (m, p + q): the derivative of the torque with respect to each parameter, at the samples of `signals`.
-    - values (p + q,): the parameters, SI. low, high (p + q,): the limits of the search.
+    - solution: the result of the search and the exact optimum.
+    - values (p + q,): the parameters, SI.
     - errors: the confidence intervals of the values.
     - exact: values and half intervals of the selected model alone; `values` and `errors` may be averages over models.
     - scattered: the variance components of pooled recordings.
-    - gap: how much worse the result of the search is than the exact optimum, relative.
     - unbounded: the values without sign constraints, and their half intervals; None if no constraint acts.
     - deflection: how much errors of the measured deflection change the values; None if its rate was recorded.
     - unmoved: the reason why the joint did not move; "" if it moved.
@@ -55,14 +54,10 @@ class Evidence:
     model: SeparableModel
     signals: Signals
     reference: float
-    columns: Array
+    solution: Solution
     values: Array
     errors: ConfidenceIntervals
     scattered: tuple[VarianceComponents | None, ...]
-    trials: Trials
-    low: Array
-    high: Array
-    gap: float
     holdout: Validation
     exact: tuple[Array, Array]
     unbounded: tuple[Array, Array] | None = None
@@ -116,8 +111,8 @@ class Evidence:
         alike = {one.name for term in terms for one in term.parameters if self.parameters[at] in term.parameters}
         if self.names[at] in c.COUPLING or not narrow(float(self.errors.half_width[at]), float(self.values[at])):
             return False
-        others = self.columns[:, [name not in alike for name in self.names]]
-        own = self.columns[:, at]
+        others = self.solution.columns[:, [name not in alike for name in self.names]]
+        own = self.solution.columns[:, at]
         left = own - others @ np.linalg.lstsq(others, own, rcond=None)[0]
         return bool(own @ own < c.INFLATION * (left @ left))
 
@@ -147,10 +142,11 @@ class Evidence:
         neither.
         """
         value, half = (float(of[at]) for of in self.exact)
-        near = min(c.AT_END * (self.high[at] - self.low[at]), half)
-        if value <= self.low[at] + near:
+        low, high = self.solution.low[at], self.solution.high[at]
+        near = min(c.AT_END * (high - low), half)
+        if value <= low + near:
             return "low"
-        return "high" if value >= self.high[at] - near else None
+        return "high" if value >= high - near else None
 
 
 def sliding(values: Mapping[str, float], deflected: float = 0.0) -> tuple[float, float] | None:
@@ -214,7 +210,8 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
     """Return the estimates of all parameters in the model's order; parameters that are deflections count from the
     encoder's zero.
     """
-    found, span, trials = [], evidence.span, evidence.trials
+    found, span, solution = [], evidence.span, evidence.solution
+    trials = solution.trials
     for at, (parameter, zero) in enumerate(zip(evidence.parameters, evidence.zeros.tolist(), strict=True)):
         value, half = zero + float(evidence.values[at]), float(evidence.errors.half_width[at])
         exact, own = zero + float(evidence.exact[0][at]), float(evidence.exact[1][at])
@@ -229,7 +226,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 optimiser=Repeatability(zero + best, zero + mean, std),
                 identifiable=evidence.identifiable(at),
                 at_bound=evidence.at_bound(at),
-                bounds=(zero + float(evidence.low[at]), zero + float(evidence.high[at])),
+                bounds=(zero + float(solution.low[at]), zero + float(solution.high[at])),
                 components=evidence.scattered[at],
                 conditional=Conditional(exact, interval(exact, own, positive=parameter.positive))
                 if is_average

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
-    found = _interruption(evidence.trials)
+    found = _interruption(evidence.solution.trials)
     exact = dict(zip(evidence.names, (evidence.exact[0] + evidence.zeros).tolist(), strict=True))
     deflected, spans = float(np.std(evidence.signals.motion.dtheta)), evidence.span[2] if evidence.span else ""
     stiffnesses = other_stiffness(exact, deflected, model=evidence.model.name, spans=spans)
@@ -46,11 +46,12 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
         )
     # the exact optimum knows no bounds but zero: at one, the gap is the bound's and not the search's
     at_bounds = any(evidence.at_bound(at) for at in range(len(evidence.names)))
-    if evidence.gap > c.OPTIMISER_GAP and not at_bounds and not evidence.trials.interrupted:
+    gap = evidence.solution.gap
+    if gap > c.OPTIMISER_GAP and not at_bounds and not evidence.solution.trials.interrupted:
         found.append(
             Diagnostic(
                 "not-converged",
-                f"the search ended {evidence.gap:.2%} above the exact optimum. Use more --generations",
+                f"the search ended {gap:.2%} above the exact optimum. Use more --generations",
                 is_error=True,
             )
         )
@@ -171,7 +172,7 @@ def _interruption(trials: Trials) -> list[Diagnostic]:
 def _of_parameter(evidence: Evidence, at: int, name: str) -> list[Diagnostic]:
     found, is_error = [], name in c.COUPLING
     end, negative = evidence.at_bound(at), evidence.contradicted(at)
-    at_zero = end == "low" and evidence.parameters[at].positive and evidence.low[at] <= 0.0  # physics' bound
+    at_zero = end == "low" and evidence.parameters[at].positive and evidence.solution.low[at] <= 0.0  # physics'
     if end is not None and not at_zero:
         text = f"{name} is at the {end} end of its bounds, and its true value may lie beyond. Widen the bounds: "
         found.append(Diagnostic("at-bound", f"{text}--bounds {name}=LOW:HIGH", name, is_error=is_error))
@@ -204,7 +205,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
     name = evidence.names[at]
     if name in c.COUPLING and evidence.unmoved:
         return f"{name} is not identifiable: {evidence.unmoved}"
-    if not evidence.columns[:, at].any():
+    if not evidence.solution.columns[:, at].any():
         return f"{name} is not identifiable: nothing in this recording excites it"
     if name == "Bc" and evidence.friction_likeness >= c.LIKE_FRICTION:
         return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {several_speeds(evidence)}"
@@ -217,7 +218,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
 
 def _alike(evidence: Evidence, at: int) -> str:
     """Return, as text, the parameter that cannot be distinguished from parameter `at`, and the remedy."""
-    name, columns, low, high = evidence.names[at], evidence.columns, *evidence.signals.band
+    name, columns, low, high = evidence.names[at], evidence.solution.columns, *evidence.signals.band
     relaxing = _relaxing(dict(zip(evidence.names, evidence.values.tolist(), strict=True)))
     constant, slowest = max(relaxing, default=(0.0, ""))
     if name in {"Kc", slowest.replace("tau", "K")} and constant > 1.0 / (2.0 * np.pi * low):

@@ -607,7 +607,7 @@ def test_a_parameter_that_only_its_own_term_is_like_is_known_within_its_interval
         model=model,
         parameters=parameters,
         names=[parameter.name for parameter in parameters],
-        columns=columns,
+        solution=SimpleNamespace(columns=columns),
         values=np.ones(4),
         errors=SimpleNamespace(half_width=np.full(4, half)),
     )
