@@ -7,27 +7,21 @@ recording was made.
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from ga.arrays import Array, Mask
 from ga.model.cache import ALTERNATING
 from ga.model.memory import Beginnings, beginnings, without_beginnings
 from ga.model.record import Parameter, Regressors, Term
 from ga.model.seen import Seen, reaches
 from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.terms import TERMS, canonical, lacking
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator
-
-    from numpy.typing import NDArray
-
-    from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
+from ga.model.trajectory import Motion
 
 BESIDE: Final = 0.25
 """The change of the skew for a numerical derivative, as a fraction of the time between two samples."""
@@ -135,7 +129,7 @@ class CouplingModel:
         middle = 0.5 * float(motion.time.min() + motion.time.max()) - origin if len(motion) else 0.0
         return replace(self, origin=origin, middle=middle, slowest=slowest(motion), smoothing=smoothing(motion))
 
-    def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]:
+    def described(self, motion: Motion, delay: float = 0.0) -> Mask:
         """Return which samples (n,) the model describes: all except those in which friction may hold the joint.
 
         delay: the age of the torque reading less that of the angle reading, s. If the model estimates the delay,

@@ -4,17 +4,12 @@ stamps.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from ga.arrays import Array, Index
 from ga.compiled import compiled_no_refcount, compiled_within
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
-
 
 _FORGOTTEN: Final = 1e-6
 """The fraction of a state below which the state has no effect any more."""
@@ -40,7 +35,7 @@ def lagged(time: Array, values: Array, constant: float) -> Array:
     return found.reshape(values.shape)
 
 
-def averaged(time: Array, values: Array, width: float, rows: NDArray[np.int64] | None = None) -> Array:
+def averaged(time: Array, values: Array, width: float, rows: Index | None = None) -> Array:
     """Return the mean of values (n,) or (n, k) over `width`, s, around each time; at the ends, over the part of it that
     exists.
 
@@ -57,7 +52,7 @@ def averaged(time: Array, values: Array, width: float, rows: NDArray[np.int64] |
     return found.reshape(len(rows), *values.shape[1:])
 
 
-def with_turns(time: Array, rate: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+def with_turns(time: Array, rate: Array) -> tuple[Array, Array, Index]:
     """Return times (m,), s, and rates, rad/s, with an additional sample at each reversal, and the indices of the given
     samples (n,).
 
@@ -129,7 +124,7 @@ For each piece: the rows in which its initial state matters, and a basis (m, k) 
 """
 
 
-def beginnings(left: Array, stretch: NDArray[np.int64]) -> Beginnings:
+def beginnings(left: Array, stretch: Index) -> Beginnings:
     """Return the signals that the unknown states at the beginning of each piece can cause.
 
     left (k, n): the weight that the initial state of its piece still has at each sample, which only falls. stretch
@@ -226,7 +221,7 @@ def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
 
 @compiled_no_refcount
 def mean_around(  # noqa: PLR0917 - compiled functions take their parts by position
-    time: Array, table: Array, slopes: Array, areas: Array, width: float, rows: NDArray[np.int64], found: Array
+    time: Array, table: Array, slopes: Array, areas: Array, width: float, rows: Index, found: Array
 ) -> None:
     """Fill in the result of `averaged` for values (n, k), from the slopes and integrals of `add_up`."""
     last = len(time) - 1

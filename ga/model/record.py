@@ -15,12 +15,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array, Index
     from ga.model.trajectory import Motion
 
-    Array = NDArray[np.float64]
     Bounds = Callable[[Motion, float], tuple[tuple[float, float], ...]]
 
 ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -133,7 +130,7 @@ class Regressors:
     own: Array
     key: tuple[Hashable, Hashable] = ((), ())
 
-    def of(self, rows: NDArray[np.int64] | slice, motion: Motion) -> Regressors:
+    def of(self, rows: Index | slice, motion: Motion) -> Regressors:
         """Return the regressors at the samples `rows`. motion: the motion at these samples."""
         load = None if self.load is None else self.load[rows]
         angle, contact = self.angle[rows], self.contact[rows]

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ga.arrays import Array
 from ga.model.cache import ROOM, SMALL
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable
-
-    from numpy.typing import NDArray
-
-    from ga.model.record import Regressors, Term
-    from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
+from ga.model.record import Regressors, Term
+from ga.model.trajectory import Motion
 
 
 @dataclass(frozen=True, eq=False)

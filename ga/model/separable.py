@@ -8,29 +8,22 @@ Watson 1971). `compass_search` goes further down if breaks make the fitness too 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
 from operator import attrgetter
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
+from ga.arrays import Array, Mask
 from ga.lad.exact import Optimum, not_negative
 from ga.model.coupling import lag_of
-from ga.model.record import positive_among
+from ga.model.record import Parameter, positive_among
+from ga.model.trajectory import Motion
 from ga.samples import resolution
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from numpy.typing import NDArray
-
-    from ga.model.record import Parameter
-    from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 FEW: Final = 600
 ENOUGH: Final = 2500
@@ -87,7 +80,7 @@ class SeparableModel(Protocol):
     ) -> Array: ...
     def anchored(self, motion: Motion) -> SeparableModel: ...  # noqa: D102
     def bounds(self, motion: Motion, highest: float) -> tuple[Array, Array]: ...  # noqa: D102
-    def described(self, motion: Motion, delay: float = 0.0) -> NDArray[np.bool_]: ...  # noqa: D102
+    def described(self, motion: Motion, delay: float = 0.0) -> Mask: ...  # noqa: D102
     def delay(self, nonlinear: Array | None) -> float: ...  # noqa: D102
 
 
@@ -171,7 +164,7 @@ class Problem:
         optimum = not_negative(columns, target, self.positive, near.optimum.genes if near else None)
         return _Solved(Fit(nonlinear, optimum, lag), columns, target)
 
-    def of(self, rows: NDArray[np.bool_] | slice) -> Problem:
+    def of(self, rows: Mask | slice) -> Problem:
         """Return the problem on the samples `rows` only."""
         return replace(self, motion=self.motion.of(rows), torque=self.torque[rows])
 

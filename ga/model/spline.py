@@ -5,16 +5,12 @@ but one knot (de Boor 1978).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
+from ga.arrays import Array
 from ga.compiled import compiled_no_refcount
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Array = NDArray[np.float64]
 
 _FEWEST: Final = 4
 """The number of knots below which a single polynomial passes through all of them."""

@@ -4,16 +4,12 @@ spring.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
+from ga.arrays import Array, Index, Mask
+from ga.model.trajectory import Motion
 
 STUCK: Final = 0.075
 """The fraction of the samples, the slowest ones, in which friction may hold the joint, so that the sign of friction is
@@ -108,7 +104,7 @@ def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
     return max(_UNSURE * usual, _UNLIKE * max(float(np.nanmedian(apart)), noise))
 
 
-def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
+def turns_unseen(motion: Motion) -> Mask:
     """Return the samples (n,) for which the computed rate has the wrong direction, because the joint reverses nearby.
 
     The rate is computed with a window. Where the acceleration jumps, the computed rate reverses before the joint does,
@@ -128,7 +124,7 @@ def turns_unseen(motion: Motion) -> NDArray[np.bool_]:
     return np.asarray((near * rate < 0.0) & sure)[rows]
 
 
-def beside_rest(motion: Motion, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def beside_rest(motion: Motion, held: Mask) -> Mask:
     """Return the samples (n,) that contain friction from samples in which the joint rests, spread by the torque's
     filter.
 
@@ -193,12 +189,12 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
     return bool(parts[1] > OF_SPRING and HIDDEN[places] * np.var(friction - columns @ parts) < np.var(friction))
 
 
-def _resting(motion: Motion) -> NDArray[np.bool_]:
+def _resting(motion: Motion) -> Mask:
     """Return the samples (n,) in which the joint is as slow as at rest."""
     return np.asarray(np.abs(motion.dtheta_dot) < max(slowest(motion), QUIET * _usual(motion)))
 
 
-def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
+def _holding(motion: Motion, resting: Mask) -> Array:
     """Return the sign (n,) of friction, which keeps its direction while the joint rests. resting (n,): whether the
     joint rests.
     """
@@ -206,7 +202,7 @@ def _holding(motion: Motion, resting: NDArray[np.bool_]) -> Array:
     return np.asarray(np.sign(motion.dtheta_dot)[last])
 
 
-def _moves(sign: Array) -> NDArray[np.int64]:
+def _moves(sign: Array) -> Index:
     """Return the number of the move (n,) that each sample belongs to; a rest belongs to the move before it. sign (n,):
     the direction of the move.
     """

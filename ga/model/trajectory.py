@@ -13,11 +13,8 @@ from ga.model.cache import ALTERNATING, PARTS, SMALL, Kept
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array, Index, Mask
     from ga.model.spline import Spline
-
-    Array = NDArray[np.float64]
 
 
 class Filter(Protocol):
@@ -78,7 +75,7 @@ class Motion:
     known: Array
     starts: tuple[int, ...] = (0,)
     rate_noise: float | None = None
-    part_of: tuple[Motion, NDArray[np.int64]] | None = None
+    part_of: tuple[Motion, Index] | None = None
     behind: Filter | None = None
     kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
@@ -137,18 +134,18 @@ class Motion:
         return float(np.var(left)) * _APART <= float(np.var(self.dtheta_ddot))
 
     @property
-    def whole(self) -> tuple[Motion, NDArray[np.int64] | slice]:
+    def whole(self) -> tuple[Motion, Index | slice]:
         """Return the whole motion that contains this motion, and the rows of this motion in the whole one."""
         return (self, slice(None)) if self.part_of is None else self.part_of
 
-    def of(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Motion:
+    def of(self, rows: Mask | Index | slice) -> Motion:
         """Return the motion at the samples `rows`, cached if small; delays and lags remain as exact as in the whole."""
         chosen = np.arange(len(self))[rows]
         if len(chosen) > SMALL:
             return self._at(rows, chosen)
         return self.kept.get("parts", chosen.tobytes(), lambda: self._at(rows, chosen), PARTS)
 
-    def _at(self, rows: NDArray[np.bool_] | NDArray[np.int64] | slice, chosen: NDArray[np.int64]) -> Motion:
+    def _at(self, rows: Mask | Index | slice, chosen: Index) -> Motion:
         whole, places = self.whole
         return replace(
             self,
@@ -157,14 +154,14 @@ class Motion:
             part_of=(whole, np.arange(len(whole))[places][rows]),
         )
 
-    def alone(self, rows: NDArray[np.int64] | slice, starts: Iterable[int] = ()) -> Motion:
+    def alone(self, rows: Index | slice, starts: Iterable[int] = ()) -> Motion:
         """Return a new motion of the samples `rows` (n,) only. starts: samples of it at which further pieces begin."""
         parts = {name: getattr(self, name)[rows] for name in ("time", *_PARTS)}
         begin = {0, *starts, *np.searchsorted(np.arange(len(self))[rows], self.starts).tolist()}
         starts = tuple(sorted(start for start in begin if start < len(parts["time"])))
         return replace(self, **parts, starts=starts, part_of=None)
 
-    def coarser(self, fewest: int) -> tuple[Motion, NDArray[np.int64]]:
+    def coarser(self, fewest: int) -> tuple[Motion, Index]:
         """Return `fewest` or more samples of the motion, as a part of a coarser whole motion, and their indices (k,).
 
         Effects that depend on earlier samples cost a step for each sample of the whole motion. To find a starting
@@ -319,7 +316,7 @@ class Motion:
         return np.concatenate([way[rows] for way, (_, _, rows) in zip(ways, self._turning, strict=True)])
 
     @cached_property
-    def stretch(self) -> NDArray[np.int64]:
+    def stretch(self) -> Index:
         """Return the number (n,) of the piece of the whole motion that each sample is in."""
         if self.part_of is not None:
             return self.part_of[0].stretch[self.part_of[1]]
@@ -331,7 +328,7 @@ class Motion:
         return replace(self, part_of=None, **dict(zip(_PARTS, found, strict=True)))
 
     @cached_property
-    def _turning(self) -> tuple[tuple[Array, Array, NDArray[np.int64]], ...]:
+    def _turning(self) -> tuple[tuple[Array, Array, Index], ...]:
         """Return each piece's times, s, and rates, rad/s, with a sample at each reversal, and the original samples."""
         from ga.model.memory import with_turns
 
@@ -378,14 +375,14 @@ def joined(motions: Sequence[Motion]) -> Motion:
     )
 
 
-def _joined_wholes(motions: Sequence[Motion]) -> tuple[Motion, NDArray[np.int64]]:
+def _joined_wholes(motions: Sequence[Motion]) -> tuple[Motion, Index]:
     wholes = [motion.whole for motion in motions]
     firsts = np.cumsum([0, *(len(whole) for whole, _ in wholes[:-1])])
     places = [first + np.arange(len(whole))[rows] for first, (whole, rows) in zip(firsts, wholes, strict=True)]
     return joined([whole for whole, _ in wholes]), np.concatenate(places)
 
 
-def _subdivided(time: Array, step: float) -> tuple[Array, NDArray[np.bool_]]:
+def _subdivided(time: Array, step: float) -> tuple[Array, Mask]:
     """Return times (n,), s, at most about `step` apart, that include the given times, and which of them were given."""
     if len(time) < 2:
         return time, np.ones(len(time), dtype=bool)

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from ga.arrays import Array
 from ga.model.coupling import CouplingModel
 from ga.model.record import Parameter, positive_among
 from ga.model.separable import SeparableModel
@@ -47,8 +47,6 @@ from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
-
-Array = NDArray[np.float64]
 
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.separable import SeparableModel
 from ga.trials.outcome import Trials
 from hil.diagnostics import Diagnostic
@@ -208,8 +208,8 @@ class Identification:
     validation: Validation
     diagnostics: tuple[Diagnostic, ...]
     signals: Signals
-    values: NDArray[np.float64]
-    fitted: NDArray[np.bool_]
+    values: Array
+    fitted: Mask
     windows: tuple[tuple[float, float] | None, ...]
     torque_scale: TorqueScale
     lack_of_fit: LackOfFit | None = None
@@ -222,7 +222,7 @@ class Identification:
         return next(estimate for estimate in self.estimates if estimate.name == name)
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Array:
         """Return the covariance (p, p) of the parameters in their order, SI. A variance is the square of `stderr`.
 
         The error of the torque's scale is common to all parameters that are torques. What else is in a standard error

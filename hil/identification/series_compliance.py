@@ -17,13 +17,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.errors import Untrustworthy
 from hil.signals.constants import SERIES_CONVERGED, SERIES_ROUNDS
 from hil.signals.rate.spectrum import power_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,8 +23,8 @@ from types import FunctionType, ModuleType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.record import Parameter, Term
 from ga.model.separable import SeparableModel
 from ga.model.terms import PARAMETERS, TERMS, add
@@ -32,8 +32,6 @@ from ga.model.trajectory import Motion
 from hil.errors import WrongUse
 from hil.plugins import MODELS, plugins
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 _TORQUE = re.compile(
     r"[mu]?N[\s*.·]?m(?![a-z])"
@@ -68,7 +66,7 @@ class UserModel:
         self._torque(motion, 0.5 * (self.low + self.high))
         return self
 
-    def described(self, motion: Motion, _delay: float = 0.0) -> NDArray[np.bool_]:
+    def described(self, motion: Motion, _delay: float = 0.0) -> Mask:
         """Return that the model describes all samples (n,)."""
         return np.ones(len(motion), dtype=bool)
 

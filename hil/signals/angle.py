@@ -5,11 +5,9 @@ single wrong readings of a torque.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 def difference(order: int) -> Array:
@@ -46,7 +44,7 @@ def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
     return np.unwrap(angle, period=size), int(np.count_nonzero(jumps))
 
 
-def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
+def _range_of(steps: Array, jumps: Mask) -> float:
     """Return the range of the encoder, rad, that explains all these jumps (n,) among the steps (n,) of an angle; 0 if
     none does.
     """
@@ -60,7 +58,7 @@ def _range_of(steps: Array, jumps: NDArray[np.bool_]) -> float:
     return size if float(np.abs(sizes - size).max()) < c.BESIDE_JUMP * size else 0.0
 
 
-def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: float) -> bool:
+def _goes_round(angle: Array, torque: Array, jumps: Mask, size: float) -> bool:
     """Return whether jumps of `size`, rad, occur at the end of the encoder's range.
 
     Such jumps lead from one end of the range to the other, while the torque does not jump.
@@ -81,7 +79,7 @@ def _goes_round(angle: Array, torque: Array, jumps: NDArray[np.bool_], size: flo
     )
 
 
-def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
+def spikes(time: Array, angle: Array) -> Mask:
     """Return which readings (n,) of an angle, rad, at times (n,), s, are single wrong readings.
 
     A single wrong reading is far from the cubic through the two readings on each side. In a sharp motion the
@@ -101,7 +99,7 @@ def spikes(time: Array, angle: Array) -> NDArray[np.bool_]:
     return wrong if np.count_nonzero(wrong) <= c.MANY * len(angle) else np.zeros_like(wrong)
 
 
-def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
+def _far(time: Array, angle: Array) -> tuple[Array, Index]:
     """Return the distances (n - 4,) of the readings from the cubic through their neighbours, and which are far.
 
     The neighbours are assumed to be equally spaced, because only their stamps may be late. Beside lost replies, and if
@@ -116,7 +114,7 @@ def _far(time: Array, angle: Array) -> tuple[Array, NDArray[np.int64]]:
     return off, far[~(np.abs(_off_in_time(time, angle, far + 2)) <= limit)]
 
 
-def _off_in_time(time: Array, angle: Array, rows: NDArray[np.int64]) -> Array:
+def _off_in_time(time: Array, angle: Array, rows: Index) -> Array:
     """Return the distances (k,) of the readings in these rows (k,) from the cubic through two readings on each side, at
     their times (Lagrange); NaN or infinite where two of the times are equal.
     """
@@ -130,7 +128,7 @@ def _off_in_time(time: Array, angle: Array, rows: NDArray[np.int64]) -> Array:
     return found
 
 
-def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
+def bursts(time: Array, angle: Array, torque: Array) -> Mask:
     """Return which readings (n,) of an angle, rad, lie in a short burst of wrong ones: random, held or displaced.
 
     time (n,): s. torque (n,): N m. In a burst the angle jumps away from the cubic through its neighbours, but the
@@ -159,7 +157,7 @@ def bursts(time: Array, angle: Array, torque: Array) -> NDArray[np.bool_]:
     return wrong if np.count_nonzero(wrong) <= c.MANY * len(angle) else np.zeros_like(wrong)
 
 
-def outliers(time: Array, torque: Array, angle: Array) -> NDArray[np.bool_]:
+def outliers(time: Array, torque: Array, angle: Array) -> Mask:
     """Return which readings (n,) of a torque, N m, are single wrong ones, such as -1 for a failed read, or lie in a
     burst of up to 5.
 
@@ -187,7 +185,7 @@ def _median(values: Array, width: int) -> Array:
     return np.asarray(median_filter(np.pad(values, reach, mode="reflect", reflect_type="odd"), width)[reach:-reach])
 
 
-def _off_motion(time: Array, torque: Array, angle: Array) -> NDArray[np.bool_]:
+def _off_motion(time: Array, torque: Array, angle: Array) -> Mask:
     """Return which readings (n,) of a torque are far from the median of their neighbours, with and without the
     torque of a spring, a damper and friction.
 
@@ -239,7 +237,7 @@ def far_zero(angle: Array) -> float:
     return middle if abs(middle) > c.FAR_ZERO * (high - low) else 0.0
 
 
-def frozen(time: Array, angle: Array, torque: Array, shortest: float = c.FROZEN_TIME) -> NDArray[np.bool_]:
+def frozen(time: Array, angle: Array, torque: Array, shortest: float = c.FROZEN_TIME) -> Mask:
     """Return a mask (n,) of the samples in which an angle is constant while the torque covers a third of its range.
 
     time s, angle rad, torque N m. shortest: time that it lasts at least, s. In a pause, or while friction holds the

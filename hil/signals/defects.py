@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.servo import Status
+from ga.arrays import Array, Index, Mask
 from hil.diagnostics import again
 from hil.errors import Untrustworthy
 from hil.recording.channels import LARGEST
@@ -21,8 +21,6 @@ from hil.signals.held_torque import smooth_torque
 from hil.signals.slow_channel import Channel, Kind, Readings
 from hil.signals.stamps import mean_step, spread_stamps, within
 from hil.signals.zero_steps import ZeroStep, stuck_torque
-
-Array = NDArray[np.float64]
 
 _LEFT_OUT = ("lost", "not_numbers", "frozen", "spikes")  # rows
 
@@ -71,19 +69,19 @@ class UsableRows:
     read.
     """
 
-    row: NDArray[np.int64]
+    row: Index
     time: Array
     torque: Array
     acting: Array
     dtheta: Array
     torque_time: Array
-    lost: NDArray[np.int64]
-    not_numbers: NDArray[np.int64]
-    frozen: NDArray[np.int64]
-    spikes: NDArray[np.int64]
-    clipped: NDArray[np.bool_]
-    stuck: NDArray[np.bool_]
-    wrong: NDArray[np.bool_]
+    lost: Index
+    not_numbers: Index
+    frozen: Index
+    spikes: Index
+    clipped: Mask
+    stuck: Mask
+    wrong: Mask
     wrong_torques: Array
     wraps: int = 0
     _read: dict[tuple[str, Kind | None], Readings] = field(default_factory=dict, init=False, repr=False)
@@ -96,7 +94,7 @@ class UsableRows:
         return spread_stamps(self.time)
 
     @property
-    def torque_unknown(self) -> NDArray[np.bool_]:
+    def torque_unknown(self) -> Mask:
         """Return in which rows (n,) the torque was wrong, stuck, or at the end of its range."""
         return self.clipped | self.stuck | self.wrong
 
@@ -173,7 +171,7 @@ def usable_rows(
     )
 
 
-def clipped(dtheta: Array, torque: Array) -> NDArray[np.bool_]:
+def clipped(dtheta: Array, torque: Array) -> Mask:
     """Return which readings (n,) of a torque, N m, are at the end of the sensor's range, or beside such a reading.
 
     dtheta (n,): deflection, rad. At the end of the range many readings are equal to the last digit, again and again,

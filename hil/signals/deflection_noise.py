@@ -8,12 +8,10 @@ so is Bc.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 def smallest_step(dtheta: Array) -> float:

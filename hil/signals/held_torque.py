@@ -9,12 +9,10 @@ second Kc too. The set-points give the form of the staircase, and the readings i
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
-
-Array = NDArray[np.float64]
 
 
 def smooth_torque(reading: Array, set_points: Array) -> Array:

@@ -9,16 +9,13 @@ from types import MappingProxyType
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.trajectory import Motion
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.signals.constants import ENOUGH, ODD_STIFFNESS, OVER_LIMIT, SIGN_LEFT, SIGN_SURE, TURN, UNDER_LIMIT
 from hil.stand.file import LimitsTable
-
-Array = NDArray[np.float64]
-
 
 _MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.trajectory import Motion
 from ga.model.trajectory import joined as one_after_the_other
 from hil.errors import Untrustworthy
@@ -31,8 +31,6 @@ from hil.signals.stamps import starts_within, stretches, within
 from hil.signals.zero_steps import without, zero_steps
 from hil.stand.file import StandTable
 from hil.stand.transmission import Transmission
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +57,10 @@ class Signals:
     slower: tuple[Slower, ...] = ()
     command: Array | None = None
     unfiltered: Array | None = None
-    jerked: NDArray[np.bool_] | None = None
+    jerked: Mask | None = None
     imported: bool = False
     motor: tuple[float, float] = (0.0, 0.0)
-    row: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    row: Index = field(default_factory=lambda: np.empty(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.torque)
@@ -72,12 +70,12 @@ class Signals:
         return self if reference == 0.0 else replace(self, motion=self.motion.shifted(reference))
 
     @property
-    def rate_known(self) -> NDArray[np.bool_]:
+    def rate_known(self) -> Mask:
         """Return for which samples (n,) the rate is known."""
         return np.ones(len(self), dtype=bool) if self.jerked is None else ~self.jerked
 
     @cached_property
-    def smooth(self) -> NDArray[np.bool_]:
+    def smooth(self) -> Mask:
         """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jump of
         the acceleration it depends on the window.
         """
@@ -324,7 +322,7 @@ def _nothing(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     )
 
 
-def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tuple[Motion, Array, NDArray[np.int64]]:
+def _at_readings(motion: Motion, own: Readings, wanted: Mask) -> tuple[Motion, Array, Index]:
     """Return the motion at torque readings, these readings, N m, and the samples that hold them.
 
     own: the sensor's own readings. wanted (m,): which of them are returned, if they lie within a piece.
@@ -340,7 +338,7 @@ def _at_readings(motion: Motion, own: Readings, wanted: NDArray[np.bool_]) -> tu
     return at, own.value[place], own.row[place]
 
 
-def _beside(jerked: NDArray[np.bool_], time: Array, wanted: Array) -> NDArray[np.bool_]:
+def _beside(jerked: Mask, time: Array, wanted: Array) -> Mask:
     """Return for each wanted time (m,), s, whether one of the samples (n,) next to it is beside a jump of the
     acceleration.
     """

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.servo import Status
+from ga.arrays import Array
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
@@ -22,8 +22,6 @@ from hil.signals.rate.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
 from hil.signals.stamps import mean_step
 from hil.stand.file import LimitsTable
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

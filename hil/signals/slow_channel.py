@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
 
-Array = NDArray[np.float64]
 Kind = Literal["held", "joined"]
 Channel = Literal["torque", "deflection"]
 
@@ -31,7 +31,7 @@ class Readings:
     common. drifts: the largest change of this age from the first to the last reading, in either direction, s.
     """
 
-    row: NDArray[np.int64]
+    row: Index
     time: Array
     value: Array
     unsure: float = 0.0
@@ -154,7 +154,7 @@ def _is_held(values: Array, count: float) -> bool:
     return len(repeats) >= c.FEWEST_READINGS and bool(np.mean(repeats) > c.HELD) and _is_paced(np.diff(changes))
 
 
-def _is_paced(ticks: NDArray[np.int64]) -> bool:
+def _is_paced(ticks: Index) -> bool:
     """Return whether readings come at an even pace. ticks (m,): the number of ticks that each reading lasts.
 
     A reading at an even pace lasts one of two neighbouring numbers of ticks. Repeats caused by a median filter have no
@@ -286,11 +286,11 @@ def _largest_near(values: NDArray[Any], reach: int) -> NDArray[Any]:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(around, 2 * reach + 1).max(axis=1))
 
 
-def _mostly(where: NDArray[np.bool_]) -> bool:
+def _mostly(where: Mask) -> bool:
     return not len(where) or bool(np.mean(where) > 0.5)
 
 
-def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _runs(on: Mask) -> Index:
     """Return the first and last sample (k, 2) of each line. on (n,): which samples lie on the line between their
     neighbours.
     """
@@ -298,7 +298,7 @@ def _runs(on: NDArray[np.bool_]) -> NDArray[np.int64]:
     return np.stack([edges[::2] - 1, edges[1::2]], axis=1)
 
 
-def _with_short_ones(lines: NDArray[np.int64]) -> NDArray[np.int64]:
+def _with_short_ones(lines: Index) -> Index:
     """Return all lines (k, 2): the given ones, and the lines of only two samples between them.
 
     lines: the first and the last sample of each line of three or more samples.

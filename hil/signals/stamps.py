@@ -5,11 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 def pieces(time: Array) -> list[slice]:
@@ -132,7 +130,7 @@ def _unit(time: Array) -> float:
     return 0.0
 
 
-def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def stretches(time: Array, sound: Mask, step: float) -> tuple[Index, Mask]:
     """Return the first index of each piece of valid samples without gaps, and the samples (n,) that are in a long
     enough piece.
 
@@ -147,12 +145,12 @@ def stretches(time: Array, sound: NDArray[np.bool_], step: float) -> tuple[NDArr
     return np.array([part[0] for part in parts], dtype=np.int64), kept
 
 
-def starts_within(starts: NDArray[np.int64], kept: NDArray[np.bool_]) -> tuple[int, ...]:
+def starts_within(starts: Index, kept: Mask) -> tuple[int, ...]:
     """Return the starts of the pieces as indices into the samples in `kept`."""
     counted = np.unique(np.concatenate([[0], np.cumsum(kept)[starts] - kept[starts]]))
     return tuple(counted[counted < np.count_nonzero(kept)].tolist()) or (0,)
 
 
-def within(row: NDArray[np.int64], rows: tuple[int, int]) -> NDArray[np.bool_]:
+def within(row: Index, rows: tuple[int, int]) -> Mask:
     """Return which row numbers (n,) of a file are at least `rows[0]` and less than `rows[1]`."""
     return (row >= rows[0]) & (row < rows[1])

@@ -7,13 +7,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.angle import frozen
-
-Array = NDArray[np.float64]
 
 
 class ZeroStep(NamedTuple):
@@ -68,7 +66,7 @@ def _steps(basis: Array, values: Array, other: Array) -> list[tuple[int, float, 
     return []
 
 
-def stuck_torque(time: Array, torque: Array, angle: Array) -> NDArray[np.bool_]:
+def stuck_torque(time: Array, torque: Array, angle: Array) -> Mask:
     """Return in which rows (n,) the torque, N m, is constant for long, although the motion would change it.
 
     time (n,): s. angle (n,): rad. What the motion would make of it comes from the other rows: in a gap, at the end of

@@ -10,13 +10,9 @@ from ga.model.record import SCALE, STRENGTH, Mark, Parameter, Regressors, Term, 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array
     from ga.model.record import Bounds
     from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 MOST_FRICTION: Final = 0.9
 """The largest fraction of the torque that a tendon may lose in its sheath."""

@@ -8,12 +8,8 @@ from typing import TYPE_CHECKING, Final
 from ga.model.record import Mark, Term, searched
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array
     from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 WIDEST_GAP: Final = 0.95
 """The largest fraction of the whole deflection that a gap or slack may take."""

@@ -8,12 +8,8 @@ from ga.model.effects.friction import CAPSTAN, MOST_FRICTION, capstan_bounds
 from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array
     from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 REACHES: Final = (0.002, 0.8)
 """The smallest and the largest deflection over which friction builds up, as fractions of the range of the

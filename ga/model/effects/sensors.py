@@ -7,13 +7,8 @@ from typing import TYPE_CHECKING, Final
 from ga.model.record import STRENGTH, Mark, Parameter, Term, searched
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from ga.model.record import Bounds
     from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 LONGEST_SKEW: Final = 0.02
 """The largest difference in time between the torque reading and the angle reading of one tick, s."""

@@ -13,12 +13,8 @@ from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, searche
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
+    from ga.arrays import Array
     from ga.model.trajectory import Motion
-
-    Array = NDArray[np.float64]
 
 LONGEST_RELAXATION: Final = 10.0
 """The longest relaxation time of a Maxwell branch: in s, and as a fraction of the recording. See also

@@ -1,1 +1,1 @@
-"""Model selection: find the terms that improve the score of a recording, and other causes of a delayed torque."""
+"""Model selection: find the terms that improve the score of a recording."""

@@ -10,15 +10,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.signals.rate.low_pass import LowPass, is_sound, low_pass_for, passing
 from hil.signals.rate.spectrum import power_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +34,11 @@ class Band:
     highest: float
     low_pass: LowPass | None
     every: int
-    rows: NDArray[np.int64]
+    rows: Index
     weights: Array
 
     @classmethod
-    def of(cls, signals: Signals, seen: NDArray[np.bool_]) -> Band:
+    def of(cls, signals: Signals, seen: Mask) -> Band:
         """Return the band of the samples in `seen` (n,), not whitened."""
         motion, highest = signals.motion, _highest(signals)
         clear = seen & signals.smooth
@@ -55,7 +53,7 @@ class Band:
         return cls._at(signals, used, None, max(1, len(motion) // c.UNFILTERED_ROWS))
 
     @classmethod
-    def _at(cls, signals: Signals, used: NDArray[np.bool_], low_pass: LowPass | None, every: int) -> Band:
+    def _at(cls, signals: Signals, used: Mask, low_pass: LowPass | None, every: int) -> Band:
         rows = np.flatnonzero(used)
         rows = rows[rows % every == 0]
         return cls(signals.motion, signals.torque, signals.band[1], low_pass, every, rows, np.ones(1))
@@ -86,7 +84,7 @@ class Band:
         return white if np.count_nonzero(white._following) > 0.5 * len(self.rows) else replace(self, weights=np.ones(1))
 
     @cached_property
-    def _following(self) -> NDArray[np.bool_]:
+    def _following(self) -> Mask:
         """Return which rows (m,) have enough rows before them, without a gap, for the whitening filter."""
         follows = np.ones(len(self.rows), dtype=bool)
         for begin in (0, *(np.flatnonzero(np.diff(self.rows) > self.every) + 1).tolist()):
@@ -109,7 +107,7 @@ def _highest(signals: Signals) -> float:
     return float(frequency[above][-1]) if above.any() else signals.band[1]
 
 
-def _sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
+def _sound(time: Array, low_pass: LowPass) -> Mask:
     return is_sound(time, low_pass) if _is_long(time, low_pass) else np.zeros(len(time), dtype=bool)
 
 

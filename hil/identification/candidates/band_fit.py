@@ -12,8 +12,8 @@ from functools import cached_property
 from operator import attrgetter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import positive_among
 from ga.model.terms import TERMS
@@ -21,8 +21,6 @@ from hil.identification.candidates.band import Band
 from hil.identification.candidates.catalogue import model_of
 from hil.identification.candidates.search import Score, is_complete, odds
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import Parameter, Term
 from ga.model.terms import SMALLEST, TERMS, canonical
@@ -20,7 +20,6 @@ from ga.model.trajectory import Motion
 from hil.identification.candidates.band import Band
 from hil.signals import constants as c
 
-Array = NDArray[np.float64]
 Cell = Callable[[Motion, Array, Array], Array]
 
 _SMALLEST = tuple(SMALLEST.split("+"))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Problem, SeparableModel, fit
 from ga.model.terms import CONSIDERED, SMALLEST, TERMS, size_of
@@ -21,8 +21,6 @@ from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.plausibility import negative_stiffness
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 _USUAL_FRICTION = "+".join(
     name
@@ -44,11 +42,11 @@ class Choice:
     sticking: bool = False
     delay: float = 0.0
 
-    def moving(self, motion: Motion) -> NDArray[np.bool_]:
+    def moving(self, motion: Motion) -> Mask:
         """Return in which samples (n,) friction does not hold the joint."""
         return self.model.described(motion, self.delay) if self.sticking else np.ones(len(motion), dtype=bool)
 
-    def described(self, signals: Signals) -> NDArray[np.bool_]:
+    def described(self, signals: Signals) -> Mask:
         """Return which samples (n,) the model describes: those in which the joint moves, at a known rate."""
         return self.moving(signals.motion) & signals.rate_known
 
@@ -120,7 +118,7 @@ def _selected(signals: Signals, *, linear_only: bool) -> Choice:
     return Choice(model, found.steps, sticking, found.delay)
 
 
-def _plainest(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) -> Selection:
+def _plainest(signals: Signals, seen: Mask, terms: tuple[str, ...]) -> Selection:
     """Return the model of common terms if it describes the samples in `seen` (n,); otherwise the model of all terms.
 
     Rare terms fit a part of what every sensor and every rate gets wrong, and take their share of Kc and Bc.
@@ -131,7 +129,7 @@ def _plainest(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...])
     return found if common == terms or _describes(found, signals, seen) else selection.select(signals, seen, terms)
 
 
-def _describes(found: Selection, signals: Signals, seen: NDArray[np.bool_]) -> bool:
+def _describes(found: Selection, signals: Signals, seen: Mask) -> bool:
     """Return whether a model passes the lack-of-fit tests, however small its misfit.
 
     Noise of the deflection is not treated as a missing term: rare terms would be selected to explain it.
@@ -170,7 +168,7 @@ def _glimpses(signals: Signals) -> Signals:
     return replace(cut, jerked=jerked, command=None, unfiltered=None)
 
 
-def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: NDArray[np.bool_]) -> bool:
+def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: Mask) -> bool:
     """Return whether a model fits the slow samples, in which friction seems to hold the joint, as well as others."""
     motion = signals.motion if seen.all() else signals.motion.of(seen)
     slow = ~friction.moving(signals.motion)[seen]
@@ -189,7 +187,7 @@ def _is_sticking(model: SeparableModel, motion: Motion, delay: float, residuals:
     return _are_worse(~model.described(motion, delay), motion, residuals)
 
 
-def _are_worse(slow: NDArray[np.bool_], motion: Motion, residuals: Array, little: float = 0.0) -> bool:
+def _are_worse(slow: Mask, motion: Motion, residuals: Array, little: float = 0.0) -> bool:
     """Return whether the slow samples (n,) of a motion fit worse than the others, either all slow samples or those of
     one decade of the rate.
 

@@ -16,15 +16,13 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.terms import TERMS
 from hil.identification.candidates.fits import Candidate, Fits
 from hil.identification.candidates.residual_spectrum import measure
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +39,7 @@ class Criterion:
     fitted: Array
     density: float
     size: float
-    smooth: NDArray[np.bool_]
+    smooth: Mask
     choices: int
     _correlations: dict[tuple[Candidate, str], float] = field(default_factory=dict, init=False)
 

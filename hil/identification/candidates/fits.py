@@ -7,16 +7,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.coupling import CouplingModel
 from ga.model.separable import ENOUGH, Fit, Problem, best_start, compass_search, descend
 from ga.model.terms import TERMS, canonical, of_kind, size_of
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.rate.windows import Window, is_smooth
-
-Array = NDArray[np.float64]
 
 LATE = tuple(name for name, one in TERMS.items() if one.delays or of_kind((p.name for p in one.parameters), "lag time"))
 """The terms that delay the torque reading."""
@@ -70,7 +68,7 @@ class Candidate:
         """The residuals (n,), N m."""
         return self.problem.residuals(self.fit)
 
-    def on(self, rows: NDArray[np.bool_]) -> Candidate:
+    def on(self, rows: Mask) -> Candidate:
         """Return the fit to the samples `rows` (n,) only, at the nonlinear parameters of the fit to all samples."""
         part = self.problem.of(rows)
         return replace(self, problem=part, fit=part.solve(self.fit.nonlinear, self.fit))
@@ -150,14 +148,14 @@ class Fits:
     _problems: dict[frozenset[str], Problem] = field(default_factory=dict, init=False)
 
     @cached_property
-    def smooth(self) -> NDArray[np.bool_]:
+    def smooth(self) -> Mask:
         """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jerk it
         does depend on it.
         """
         return is_smooth(self.motion, self.window)
 
     @cached_property
-    def _coarser(self) -> tuple[Motion, NDArray[np.int64]]:
+    def _coarser(self) -> tuple[Motion, Index]:
         """Return the motion on which a fit begins, and its samples' indices: the same for all models, so that columns
         are kept.
         """

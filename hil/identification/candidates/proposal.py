@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.terms import SMALLEST, TERMS, is_addable
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.band_fit import BandFit, BandFits
@@ -19,14 +19,12 @@ from hil.identification.candidates.search import Points, PointSearch, is_complet
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
-Array = NDArray[np.float64]
-
 _SMALLEST = tuple(SMALLEST.split("+"))
 _LATE = ("branch", "mass", "channel")
 
 
 def proposed(
-    signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]
+    signals: Signals, seen: Mask, terms: tuple[str, ...]
 ) -> tuple[list[BandFit], dict[str, Mapping[str, float]]]:
     """Return the models fitted to the samples in `seen` (n,), best first, and for each term of the candidates in
     Occam's window the nonlinear parameters, SI, by name, of the best candidate with that term.

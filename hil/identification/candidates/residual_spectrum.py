@@ -20,11 +20,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals.constants import BAND_WIDTH, DEPENDENT, EXPONENTS, FEWEST_LINES, SEGMENT
-
-Array = NDArray[np.float64]
 
 _SLOW, _NEXT = (
     np.maximum(np.arange(FEWEST_LINES), 1),

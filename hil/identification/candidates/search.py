@@ -14,14 +14,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.record import Term
 from ga.model.terms import SMALLEST, TERMS, lacking
 from hil.identification.candidates.catalogue import Catalogue, Point
 from hil.signals import constants as c
 
-Array = NDArray[np.float64]
 Points = tuple[int, ...]
 """The indices of a candidate's points in the catalogue, ascending."""
 
@@ -143,7 +142,7 @@ class PointSearch:
         free = np.ones(len(self._gram), dtype=bool)
         free[at] = False
         chosen, terms = list(candidate), self.terms(candidate)
-        may: NDArray[np.bool_] = np.logical_not(self._conflicts[chosen].any(axis=0))
+        may: Mask = np.logical_not(self._conflicts[chosen].any(axis=0))
         may[[one for one in self._needy if not is_complete((*terms, *self.points[one].terms))]] = False
         for numbers, columns in self._wide.values():
             possible = numbers[may[numbers]]
@@ -235,9 +234,7 @@ class PointSearch:
         along = inverse @ self._products[at]
         return self._power - float(along @ along), (inverse**2).sum(axis=0), inverse.T @ along
 
-    def _gains(
-        self, columns: NDArray[np.int64], across: Array, left: Array, free: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.bool_], Array]:
+    def _gains(self, columns: Index, across: Array, left: Array, free: Mask) -> tuple[Mask, Array]:
         """Return which points (p,), with columns (p, k), are independent of a candidate's columns, and by how much each
         lowers the sum of squares.
 
@@ -265,7 +262,7 @@ def is_complete(terms: Sequence[str]) -> bool:
     return not any(lacking(term, all_terms) for term in all_terms)
 
 
-def _conflicts(points: Sequence[Point]) -> NDArray[np.bool_]:
+def _conflicts(points: Sequence[Point]) -> Mask:
     """Return which points (p, p) cannot be in one candidate: they share a term, or their terms exclude each other."""
     names = {term: at for at, term in enumerate(TERMS)}
     covered, excluded = np.zeros((2, len(points), len(names)), dtype=np.float32)

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ga.arrays import Mask
 from ga.model.coupling import CouplingModel
 from ga.model.terms import SMALLEST, TERMS, is_addable, lacking
 from hil.identification.candidates.band_fit import BandFit
@@ -19,8 +17,6 @@ from hil.identification.candidates.proposal import proposed
 from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +44,7 @@ class Selection:
         return self.beside.steps(self.chosen)
 
 
-def select(signals: Signals, seen: NDArray[np.bool_], terms: tuple[str, ...]) -> Selection:
+def select(signals: Signals, seen: Mask, terms: tuple[str, ...]) -> Selection:
     """Return the model selected from the samples in `seen` (n,).
 
     terms: those considered besides the smallest model's. Raises RuntimeError if not even the smallest model can be

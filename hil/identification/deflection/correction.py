@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.separable import SeparableModel
 from hil.identification.deflection.fitted import Fitted, sampled
 from hil.identification.deflection.instruments import by_command
@@ -22,9 +22,6 @@ from hil.identification.deflection.simulation import is_in_step, simulated_chang
 from hil.signals.constants import COUPLING, FEWEST, LOOKED, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND, WHITE_COUNTS
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
-
 
 Method = Literal["none", "simulation", "instruments"]
 
@@ -57,7 +54,7 @@ class DeflectionErrors:
 
 
 def read_with_errors(
-    model: SeparableModel, signals: Signals, used: NDArray[np.bool_], values: Array, half_width: Array
+    model: SeparableModel, signals: Signals, used: Mask, values: Array, half_width: Array
 ) -> DeflectionErrors | None:
     """Return the effect of errors of the deflection on the exact optimum; None if the rate was recorded too.
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.coupling import lag_of
 from ga.model.separable import SeparableModel
 from ga.model.trajectory import Motion
 from hil.signals.constants import CLIPPED, CORRECTED, NORMAL, SPREAD, SURE, TESTED
 from hil.signals.rate.windows import Window
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +28,7 @@ class Fitted:
     model: SeparableModel
     motion: Motion
     torque: Array
-    used: NDArray[np.bool_]
+    used: Mask
     genes: Array
     nonlinear: Array
     half_width: Array

@@ -14,15 +14,13 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.terms import size_of
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import followed, is_instrument
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 
 def of_jerk(motion: Motion) -> Array:

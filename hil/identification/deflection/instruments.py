@@ -11,17 +11,15 @@ from __future__ import annotations
 from typing import TypeGuard
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.trajectory import Motion
 from hil.identification.deflection.fitted import Change, Fitted, behind, clipped, moved
 from hil.signals.constants import BLOCKS, DELAYS, NORMAL
 from hil.signals.rate.windows import Window
 
-Array = NDArray[np.float64]
 
-
-def by_command(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, float] | None:
+def by_command(part: Fitted, sound: Mask) -> tuple[Change, float] | None:
     """Return the correction by the instruments, and the strength of the instruments; None without a command.
 
     part: the fit on a part of the recording. sound (n,): the samples with a known rate.
@@ -54,7 +52,7 @@ def is_instrument(command: Array | None) -> TypeGuard[Array]:
     return command is not None and bool(np.isfinite(command).all()) and float(np.ptp(command)) > 0.0
 
 
-def followed(motion: Motion, window: Window, command: Array, sound: NDArray[np.bool_]) -> Motion:
+def followed(motion: Motion, window: Window, command: Array, sound: Mask) -> Motion:
     """Return the motion that follows from the command (n,) through a filter with a few coefficients.
 
     The filter is fitted to the motion at the samples in `sound` (n,).

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from hil.identification.deflection.fitted import Fitted, moved
 from hil.signals.constants import NORMAL, RESTS, ROUNDING, STILL, WITHIN
 
-Array = NDArray[np.float64]
 
-
-def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
+def rounded_at_rest(part: Fitted, sound: Mask) -> Array:
     """Return half the 95 % intervals (p + q,) of the effect of rounding while the joint rests.
 
     At rest all readings of an angle or a torque have the same error, up to half a count, which averaging does not
@@ -37,7 +35,7 @@ def rounded_at_rest(part: Fitted, sound: NDArray[np.bool_]) -> Array:
     return found
 
 
-def _influence(columns: Array, sound: NDArray[np.bool_]) -> Array:
+def _influence(columns: Array, sound: Mask) -> Array:
     """Return the derivative (p + q, m) of each parameter with respect to the torque of each of the m samples in
     `sound`.
     """
@@ -53,7 +51,7 @@ def _per_rad(part: Fitted, left: Array) -> Array:
     return np.asarray((left - part.linearised(one_off)[1]) / count)
 
 
-def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
+def _is_still(dtheta: Array, most: float) -> Mask:
     """Return whether each reading (n,), rad, belongs to several consecutive readings that differ by less than `most`,
     rad.
     """
@@ -62,7 +60,7 @@ def _is_still(dtheta: Array, most: float) -> NDArray[np.bool_]:
     return np.asarray(np.bincount(run)[run] >= RESTS)
 
 
-def _is_within(values: Array, most: float) -> NDArray[np.bool_]:
+def _is_within(values: Array, most: float) -> Mask:
     """Return whether each value (n,) belongs to several consecutive values that differ by less than `most`."""
     found = np.zeros(len(values), dtype=bool)
     if len(values) >= RESTS:

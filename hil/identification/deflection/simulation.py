@@ -10,18 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.trajectory import Motion
 from hil.identification.deflection.fitted import Change, Fitted, behind, moved, sampled, solved
 from hil.signals.constants import ERROR_LEVEL, IN_STEP, NARROWER, NORMAL, PAIRS, ROUNDING
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.windows import Window, is_smooth
 
-Array = NDArray[np.float64]
 
-
-def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Array]:
+def simulated_change(part: Fitted, sound: Mask) -> tuple[Change, Array]:
     """Return the correction found by adding the same errors once more, and 1.96 times the standard deviation of the
     random part.
 
@@ -34,7 +32,7 @@ def simulated_change(part: Fitted, sound: NDArray[np.bool_]) -> tuple[Change, Ar
     return Change(change, np.hypot(ERROR_LEVEL * change, NORMAL * error)), _scatter(added)
 
 
-def is_in_step(part: Fitted, sound: NDArray[np.bool_], spread: Array) -> bool:
+def is_in_step(part: Fitted, sound: Mask, spread: Array) -> bool:
     """Return whether rounding changes Kc or Bc by far more than the same errors in random order.
 
     Periodic motion is rounded in the same way in each period. spread (p + q,): the second result of `simulated_change`.
@@ -56,7 +54,7 @@ def noisier(motion: Motion, window: Window) -> Iterator[tuple[Motion, Motion]]:
         yield _more(motion, window, errors, smoothed)
 
 
-def _added(part: Fitted, sound: NDArray[np.bool_], errors: Iterable[Array]) -> Array:
+def _added(part: Fitted, sound: Mask, errors: Iterable[Array]) -> Array:
     """Return the changes of the parameters, (k, 2, p + q), by k draws of errors: with the errors and with their
     opposites.
 

@@ -1,1 +1,1 @@
-"""The parts of one fit: bounds of the search, exact optimum, validation, and the lack-of-fit test."""
+"""The parts of one fit: its samples and bounds, the search, the exact optimum, its intervals, and validation."""

@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals.constants import ENOUGH
 
-Array = NDArray[np.float64]
 Block = tuple[Array, Array]
-Keep = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+Keep = Callable[[Index], Mask]
 """A function that gets row numbers (m,) and returns which of these rows are kept."""
 
 
@@ -45,12 +44,12 @@ class Blocks:
     def between(self, start: int, stop: int) -> Blocks:
         """Return the rows from `start` to `stop`, `stop` excluded."""
 
-        def keep(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+        def keep(number: Index) -> Mask:
             return np.asarray((number >= start) & (number < stop))
 
         return Blocks(stop - start, lambda: self._selected(keep))
 
-    def searching(self, searched: NDArray[np.bool_], values: Array) -> Blocks:
+    def searching(self, searched: Mask, values: Array) -> Blocks:
         """Return the rows with only the searched columns.
 
         searched (p,): which columns are searched. The torque of the other columns, at values (p,), SI, is subtracted.

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.model.record import Parameter, positive_among
 from ga.model.separable import SeparableModel
 from hil.errors import WrongUse, meant
 
-Array = NDArray[np.float64]
 Given = Mapping[str, tuple[float, float]]
 """The user's bounds: the lowest and highest value of some parameters, SI, by name."""
 

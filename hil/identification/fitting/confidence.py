@@ -14,13 +14,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from hil.identification.candidates.residual_spectrum import ResidualSpectrum, measure
 from hil.identification.fitting.blocks import Blocks
 from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, SPREAD, TAKES_PART, UPPER
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ class Covariance:
 
     matrix: Array
     quantile: Array
-    distinct: NDArray[np.bool_]
+    distinct: Mask
     inflation: Array
 
 
@@ -93,7 +91,7 @@ def covariance(blocks: Blocks, genes: Array) -> Covariance:
     return Covariance(matrix, quantile, distinct, inflation)
 
 
-def distinct(blocks: Blocks) -> NDArray[np.bool_]:
+def distinct(blocks: Blocks) -> Mask:
     """Return which parameters (p,) the columns of the data in `blocks` can distinguish from the others."""
     gram: Array | float = 0.0
     for columns, _ in blocks():
@@ -101,7 +99,7 @@ def distinct(blocks: Blocks) -> NDArray[np.bool_]:
     return _inverse(np.asarray(gram))[1]
 
 
-def _inverse(gram: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _inverse(gram: Array) -> tuple[Array, Mask]:
     """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) can be distinguished from others.
 
     For dependent columns the pseudo-inverse is returned, which is correct for the other parameters.

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from hil.diagnostics import Diagnostic
 from hil.identification.candidates.choice import Choice
 from hil.identification.fitting.blocks import Block, Blocks
@@ -22,7 +22,6 @@ from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import Source
 from hil.signals.zero_steps import zero_steps
 
-Array = NDArray[np.float64]
 Choose = Callable[[Signals, bool], Choice]
 """A function that returns the model for signals; its second argument says whether these are all signals."""
 
@@ -40,7 +39,7 @@ class Dataset:
 
     choice: Choice
     signals: Signals
-    used: NDArray[np.bool_]
+    used: Mask
     whole: bool
     blocks: Blocks
     in_memory: Block
@@ -150,7 +149,7 @@ def _to_disk(
     return tuple(edges), diagnostics + _other_zero(reference) + _slow(held, read)
 
 
-def _rows(choice: Choice, signals: Signals, used: NDArray[np.bool_]) -> Block:
+def _rows(choice: Choice, signals: Signals, used: Mask) -> Block:
     """Return columns (m, p) and torque (m,) of the samples in `used`, with the nonlinear parameters at zero."""
     model, motion = choice.model, signals.motion
     columns, target = model.columns(motion), model.target(motion, signals.torque)

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.identification.fitting.blocks import Block, Blocks
 from hil.recording.ahead import Progress, ahead
 from hil.recording.output import check_space, writing
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 class DiskTable:

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ga.arrays import Array
 from ga.lad.out_of_core import Reduced, reduce
 from hil.errors import Untrustworthy
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import confidence_intervals
-
-Array = NDArray[np.float64]
 
 
 def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:

@@ -11,8 +11,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.bounds import Bounds
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
@@ -30,8 +30,6 @@ from hil.identification.fitting.dataset import Dataset
 from hil.identification.fitting.exact import solved, unproven
 from hil.recording.ahead import Progress
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Legendre
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.lad.exact import least_absolute_deviations
 from ga.model.record import Regressors, Term
 from ga.model.separable import SeparableModel
@@ -30,8 +30,6 @@ from hil.identification.fitting.confidence import covariance
 from hil.signals import constants as c
 from hil.signals.angle import far_zero
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 UNLOADED_PLACE = "unloaded place"
 DEFLECTION = "deflection"

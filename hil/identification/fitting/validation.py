@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from ga.model.record import positive_among
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import distinct as decided
@@ -15,20 +15,18 @@ from hil.identification.fitting.exact import solved
 from hil.identification.result import Validation
 from hil.signals import constants as c
 
-Array = NDArray[np.float64]
 
-
-def validated(data: Dataset, blocks: Blocks, values: Array, distinct: NDArray[np.bool_]) -> Validation:
+def validated(data: Dataset, blocks: Blocks, values: Array, distinct: Mask) -> Validation:
     """Fit 80 % of the samples and return the error on the other 20 %, in blocks of time.
 
     blocks: the linear problem around the optimum. values (p + q,): the optimum. distinct (p + q,): which parameters are
     fitted; the others keep their values, because the data do not determine them. Raises Untrustworthy as `solved`.
     """
 
-    def is_out(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_out(number: Index) -> Mask:
         return np.asarray(number * c.FOLDS // data.samples % 5 == 2)
 
-    def is_in(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_in(number: Index) -> Mask:
         return ~is_out(number)
 
     if data.choice.model.nonlinear:  # such a term may act in a few places, all of them held out

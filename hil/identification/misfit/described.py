@@ -7,8 +7,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.coupling import CouplingModel
 from ga.model.separable import SeparableModel
 from ga.model.terms import of_kind
@@ -26,8 +26,6 @@ from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 from hil.signals.rate.windows import is_smooth
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Described:
@@ -42,7 +40,7 @@ class Described:
 
     model: SeparableModel
     signals: Signals
-    kept: NDArray[np.bool_]
+    kept: Mask
     residuals: Array
     columns: Array
     values: Array

@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.arrays import Array, Index
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import is_instrument
 from hil.signals import constants as c
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
@@ -114,7 +114,7 @@ def _spectra(motion: Motion, torque: Array, instrument: Array, band: tuple[float
     return _Spectra(frequency, of_torque, moved, rate, instrumental, deflection)
 
 
-def _edges(frequency: Array, band: tuple[float, float]) -> NDArray[np.int64]:
+def _edges(frequency: Array, band: tuple[float, float]) -> Index:
     """Return the edges of the bands, in lines of the spectrum: in equal ratios, each band wider than a main lobe."""
     low, high = np.searchsorted(frequency, band)
     first = max(1, int(low) - 2)

@@ -15,17 +15,14 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.record import Mark, Parameter, Regressors, Role, Term
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import delayed
 from hil.signals.angle import difference
 from hil.signals.constants import DIFFERENCE, LENGTHS, SHORT_LAG, SMALL_TORQUE, SMOOTH, SOFT, TIMES
-
-Array = NDArray[np.float64]
-
 
 _SIXTH: Final = difference(DIFFERENCE)
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)

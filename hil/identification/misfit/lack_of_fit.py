@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import delayed
 from hil.identification.misfit.effects import EFFECTS, NOISE_GAIN, Effect, reading_noise, smoothed
@@ -25,8 +25,6 @@ from hil.identification.misfit.regressors import NAMES, cuts, mean_over_plane, r
 from hil.identification.misfit.scores import Scores
 from hil.signals import constants as c
 from hil.signals.deflection_noise import skew_by_noise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +46,7 @@ class Residuals:
     values: tuple[float, float]
     half_width: tuple[float, float]
     skew: int | None = None
-    kept: NDArray[np.bool_] | None = None
+    kept: Mask | None = None
     included: frozenset[str] = frozenset()
 
 

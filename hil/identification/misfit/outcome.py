@@ -7,13 +7,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ga.arrays import Array
 from hil.identification.misfit.effects import Effect
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

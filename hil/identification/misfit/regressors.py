@@ -7,15 +7,12 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import delayed
 from hil.identification.misfit.effects import centred, direction, of_readings, progress
 from hil.signals.constants import CELLS_A_SIDE, LENGTHS, TIMES, WAVES
-
-Array = NDArray[np.float64]
-
 
 NAMES: Final[Mapping[str, str]] = MappingProxyType(
     {

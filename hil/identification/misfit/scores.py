@@ -7,11 +7,9 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 class Scores:
@@ -22,7 +20,7 @@ class Scores:
     model does not describe.
     """
 
-    def __init__(self, residuals: Array, columns: Array, kept: NDArray[np.bool_]) -> None:
+    def __init__(self, residuals: Array, columns: Array, kept: Mask) -> None:
         self._basis, self._kept = _basis(columns), kept[:, None]
         self.scores = _clipped(residuals, self._basis, kept, c.CLIPPED)
         self._left = residuals
@@ -35,7 +33,7 @@ class Scores:
         return _clipped(self._left, self._basis, self._kept[:, 0], c.GROSS_OUTLIER)
 
     @cached_property
-    def _firsts(self) -> NDArray[np.int64]:
+    def _firsts(self) -> Index:
         """The first rows of the blocks."""
         return _blocks(self.scores)
 
@@ -101,7 +99,7 @@ def _basis(columns: Array) -> Array:
     return np.asarray(left[:, values > 1e-9 * values.max(initial=0.0)])
 
 
-def _clipped(residuals: Array, basis: Array, kept: NDArray[np.bool_], clipped_at: float) -> Array:
+def _clipped(residuals: Array, basis: Array, kept: Mask, clipped_at: float) -> Array:
     """Return the residuals (n,), N m, of Huber's (1964) estimate, which outliers hardly affect: clipped, and orthogonal
     to the basis.
 
@@ -124,7 +122,7 @@ def _spread(residuals: Array) -> float:
     return c.SPREAD * float(np.median(np.abs(residuals))) or float(np.std(residuals))
 
 
-def _blocks(scores: Array) -> NDArray[np.int64]:
+def _blocks(scores: Array) -> Index:
     """Return the first rows of blocks much longer than the autocorrelation of the residuals."""
     count = len(scores)
     spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2

@@ -23,9 +23,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ga.arrays import Array, Mask
 from ga.model.coupling import CouplingModel
 from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, of_kind, size_of
 from hil.identification.candidates.choice import Choice
@@ -37,8 +37,6 @@ from hil.identification.result import Step
 from hil.signals import constants as c
 from hil.signals.constants import NORMAL, UPPER
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,7 @@ class Averaged:
 
 
 def averaged(
-    choice: Choice, signals: Signals, used: NDArray[np.bool_], nonlinear: Array, change: Mapping[str, float]
+    choice: Choice, signals: Signals, used: Mask, nonlinear: Array, change: Mapping[str, float]
 ) -> dict[str, Averaged]:
     """Return Kc and Bc averaged over models around the selected one; {} if the larger models cannot be fitted.
 
@@ -185,7 +183,7 @@ def _mixed(weights: Array, found: Sequence[Averaged]) -> Averaged:
     return Averaged(value, max(most - value, value - least))
 
 
-def _by_errors(larger: Largest, signals: Signals, used: NDArray[np.bool_]) -> Array:
+def _by_errors(larger: Largest, signals: Signals, used: Mask) -> Array:
     """Return the correction (p,) of the larger model's parameters for errors of the deflection.
 
     The correction is computed at the larger model's fit, which is linearised at a smaller model. The fit of the

@@ -26,8 +26,8 @@ from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.effects.friction import felt
@@ -43,8 +43,6 @@ from hil.identification.mixture.largest import Largest, Selected
 from hil.identification.mixture.model_average import without_positive
 from hil.signals import constants as c
 from hil.signals.deflection_noise import smallest_step
-
-Array = NDArray[np.float64]
 
 
 class Hidden(NamedTuple):

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Problem
@@ -29,8 +29,6 @@ from hil.identification.fitting.confidence import Covariance, covariance
 from hil.identification.mixture.model_average import AKAIKE
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 _ALWAYS = tuple(name for name, term in TERMS.items() if term.bench == "always")
 BENCH = (*_ALWAYS, *(name for name, term in TERMS.items() if term.bench == "small"))  # effects that every bench has

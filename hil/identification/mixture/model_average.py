@@ -19,11 +19,9 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals.constants import FAR_TAIL
-
-Array = NDArray[np.float64]
 
 AKAIKE: Final = 2.0
 """The cost of a parameter in Akaike's criterion if most benches have the parameter."""

@@ -5,8 +5,8 @@ reading.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.record import FRICTION
 from ga.model.sticking import is_hidden, looks_like_spring
 from ga.model.terms import TERMS, of_kind, of_role, size_of
@@ -17,8 +17,6 @@ from hil.identification.verdict.criteria import dampings_behind_filter
 from hil.identification.verdict.evidence import Evidence
 from hil.printable import quoted
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 
 def several_speeds(evidence: Evidence) -> str:

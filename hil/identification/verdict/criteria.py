@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals import constants as c
 
 
@@ -23,7 +23,7 @@ def narrow(half: float, value: float) -> bool:
     return bool(half < c.INTERVAL * abs(value))
 
 
-def friction_likeness(rate: NDArray[np.float64]) -> float:
+def friction_likeness(rate: Array) -> float:
     """Return the square of the cosine between a rate (n,) and its sign, 0 to 1; 0 without motion.
 
     This is the fraction of a damping torque that dry friction would explain.

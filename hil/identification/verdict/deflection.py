@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.diagnostics import Diagnostic
 from hil.identification.deflection.correction import DeflectionErrors
 from hil.identification.deflection.instruments import is_instrument
@@ -13,8 +13,6 @@ from hil.identification.result import Deflection
 from hil.identification.verdict.evidence import Evidence
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 _IMPORTED = ", or name its column with --command"
 _REMEDY = "use a larger amplitude or a finer encoder"

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.model.coupling import CouplingModel
 from ga.model.record import Kind, Parameter
 from ga.model.separable import SeparableModel
@@ -24,8 +24,6 @@ from hil.identification.result import Conditional, Estimate, Repeatability, Vali
 from hil.identification.verdict.criteria import distinguishable, friction_likeness, narrow
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-
-Array = NDArray[np.float64]
 
 _NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ga.model.terms import PARAMETERS, of_kind, size_of
 from ga.trials.outcome import Trials
@@ -19,8 +18,6 @@ from hil.printable import quoted
 from hil.recording.channels import TorqueScale
 from hil.signals import constants as c
 from hil.units import with_unit
-
-Array = NDArray[np.float64]
 
 
 def judge(evidence: Evidence) -> list[Diagnostic]:

@@ -14,11 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals.constants import NORMAL, OUTSIDE, UPPER, VARIANCE_ROUNDING, VARIANCE_STEPS
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

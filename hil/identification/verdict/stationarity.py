@@ -8,8 +8,8 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from ga.lad.out_of_core import reduce
 from ga.model.terms import of_kind
 from hil.diagnostics import Diagnostic
@@ -18,8 +18,6 @@ from hil.identification.fitting.confidence import ConfidenceIntervals, confidenc
 from hil.identification.result import VarianceComponents
 from hil.identification.verdict.random_effects import between, is_outside
 from hil.signals import constants as c
-
-Array = NDArray[np.float64]
 
 _OTHERS = {True: "the others", False: "the other one"}
 

@@ -21,14 +21,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
 from hil.signals.rate.savitzky_golay import local_polynomial, local_weights
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Array = NDArray[np.float64]
-Cubic = tuple[NDArray[np.int64], Array, Array]
+Cubic = tuple[Index, Array, Array]
 
 _SIGNALS: Final = 3  # deflection, rate, acceleration
 
@@ -145,7 +145,7 @@ def _through(time: Array, low_pass: LowPass) -> Callable[[Array], Array]:
     return lambda values: np.concatenate([pass_part(values[..., part]) for part, pass_part in parts], axis=-1)
 
 
-def is_sound(time: Array, low_pass: LowPass) -> NDArray[np.bool_]:
+def is_sound(time: Array, low_pass: LowPass) -> Mask:
     """Return the samples (n,) for which all neighbours that the low-pass uses exist, with no gap between them."""
     found = np.zeros(len(time), dtype=bool)
     for part in _stretches(time, low_pass.step):

@@ -13,13 +13,9 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Index, Mask
 from hil.signals.constants import BLOCK_LENGTH, DEGREE, SHARED_WINDOWS, SINGULAR, THREAD_SAMPLES
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 
 LEAST = (DEGREE + 1) // 2
 """The smallest number of neighbours on each side: with fewer there are fewer readings than coefficients."""
@@ -166,7 +162,7 @@ def _first(half: int, sample: Index, count: int) -> Index:
     return np.clip(sample - half, 0, count - 2 * half - 1)
 
 
-def _are_alike(time: Array, half: int, windows: Index) -> NDArray[np.bool_]:
+def _are_alike(time: Array, half: int, windows: Index) -> Mask:
     """Return which blocks (b,) of windows (b, m) can share a basis: those in which each window covers most of its
     block.
     """

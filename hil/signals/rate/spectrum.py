@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array
 from hil.signals import constants as c
 from hil.signals.stamps import mean_step, pieces
-
-Array = NDArray[np.float64]
 
 
 def excited_band(time: Array, dtheta: Array) -> tuple[float, float]:

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ga.arrays import Array, Mask
 from ga.model.sticking import beyond_noise
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
@@ -19,8 +19,6 @@ from hil.signals.rate.savitzky_golay import LEAST, kernel, local_polynomial, wid
 from hil.signals.rate.spectrum import Spectrum
 from hil.signals.slow_channel import Readings, noise_beside_any_shape
 from hil.signals.stamps import mean_step
-
-Array = NDArray[np.float64]
 
 RATE_ACCURACY = 0.5 * (c.GAIN_ERROR + c.RATE_NOISE**2)  # of Bc: half of the most that both can change it by
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
@@ -94,14 +92,14 @@ class Window:
         through = passing(time, self.low_pass)
         return lambda values: _known(through(values), values)
 
-    def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> NDArray[np.bool_]:
+    def jerked(self, time: Array, dtheta: Array, rate: Array, acceleration: Array) -> Mask:
         """Return the samples (n,) beside a jump of the acceleration, where no window gives the true motion."""
         of_rate = _differing(time, dtheta, rate, _NARROW) > self.jerk
         if not np.isfinite(self.jump):
             return of_rate
         return of_rate | (_differing(time, dtheta, acceleration, _NARROW, order=2) > self.jump)
 
-    def sound(self, time: Array) -> NDArray[np.bool_]:
+    def sound(self, time: Array) -> Mask:
         """Return the samples (n,) for which all neighbours exist from which the rate is computed."""
         return is_sound(time, self.low_pass) if self.low_pass else _whole(time, self.widest, self.step)
 
@@ -249,7 +247,7 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: floa
 
 
 def smoothed_away(
-    half: int, time: Array, dtheta: Array, noise: float, *, seen: NDArray[np.bool_] | None = None, order: int = 1
+    half: int, time: Array, dtheta: Array, noise: float, *, seen: Mask | None = None, order: int = 1
 ) -> float:
     """Return the part of the rate, rad/s r.m.s., that a window of `half` neighbours on each side removes.
 
@@ -268,7 +266,7 @@ def smoothed_away(
     return float(np.sqrt(power - of_noise)) if power > 2.0 * of_noise else 0.0
 
 
-def _power(rate: Array, rows: NDArray[np.bool_] | None = None) -> float:
+def _power(rate: Array, rows: Mask | None = None) -> float:
     """Return the sum of squares of the known rates (n,), (rad/s)^2. rows (n,): the samples that count; all if None."""
     return float(np.nansum(np.square(rate) if rows is None else np.square(rate[rows])))
 
@@ -326,7 +324,7 @@ def windows(time: Array, highest: float) -> tuple[int, int]:
     return slope, min(slope, curvature)
 
 
-def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
+def _whole(time: Array, half: int, step: float) -> Mask:
     """Return the samples (n,) whose window, `half` neighbours on each side, is centred on the sample and free of gaps.
     step: time between two samples, s.
     """
@@ -335,7 +333,7 @@ def _whole(time: Array, half: int, step: float) -> NDArray[np.bool_]:
     return whole
 
 
-def is_smooth(motion: Motion, window: Window | None) -> NDArray[np.bool_]:
+def is_smooth(motion: Motion, window: Window | None) -> Mask:
     """Return the samples (n,) whose rate hardly depends on the window that it is computed with. Beside a jump of the
     acceleration it depends on the window.
 

@@ -7,7 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from hil.identification.mixture.model_average import AKAIKE, Array, average, without_positive
+from ga.arrays import Array
+from hil.identification.mixture.model_average import AKAIKE, average, without_positive
 
 NOISE = 0.3
 AS_RULE = {2: AKAIKE, 3: AKAIKE}
