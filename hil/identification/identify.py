@@ -23,8 +23,7 @@ from hil.identification.deflection.held import most_taken_off
 from hil.identification.deflection.instruments import is_instrument
 from hil.identification.fitting.confidence import confidence_intervals
 from hil.identification.fitting.dataset import Dataset, open_dataset
-from hil.identification.fitting.exact import without_signs
-from hil.identification.fitting.solution import Search, Solution, solve
+from hil.identification.fitting.solution import Search, Solution, solve, without_signs
 from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
 from hil.identification.misfit.described import Described, tested

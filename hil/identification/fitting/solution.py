@@ -1,11 +1,13 @@
-"""Solve one model for its parameters: by the genetic search, and exactly."""
+"""Solve one model for its parameters: by the genetic search, within bounds given by the user, those of the paper, or
+those derived from the data, and exactly.
+"""
 
 from __future__ import annotations
 
 import math
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,23 +15,25 @@ from pathlib import Path
 import numpy as np
 
 from ga.arrays import Array
-from ga.bounds import Bounds
+from ga.bounds import PAPER_BOUNDS, Bounds, bounds_from_data
 from ga.evolution.evolution import PRESETS, Settings
 from ga.lad.exact import Optimum
-from ga.lad.out_of_core import Reduced
-from ga.model.record import positive_among
-from ga.model.separable import Problem, descend
+from ga.lad.out_of_core import Reduced, reduce
+from ga.model.record import Parameter, positive_among
+from ga.model.separable import Problem, SeparableModel, descend
 from ga.trials.checkpoint import WrongCheckpoint
 from ga.trials.nonlinear import search_nonlinear
 from ga.trials.outcome import Trials
 from ga.trials.trials import duration, run_trials
-from hil.errors import WrongUse
+from hil.errors import Untrustworthy, WrongUse, meant
 from hil.identification.fitting.blocks import Blocks
-from hil.identification.fitting.bounds import bounds_for, narrowed
+from hil.identification.fitting.confidence import confidence_intervals
 from hil.identification.fitting.dataset import Dataset
-from hil.identification.fitting.exact import solved, unproven
 from hil.recording.ahead import Progress
 from hil.signals import constants as c
+
+Given = Mapping[str, tuple[float, float]]
+"""The user's bounds: the lowest and highest value of some parameters, SI, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +50,7 @@ class Search:
     trials: int | None = None
     seed: int = 0
     workers: int = os.cpu_count() or 1
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    bounds: Given = field(default_factory=dict)
     checkpoint: Path | None = None
 
 
@@ -81,7 +85,7 @@ def solve(data: Dataset, search: Search, progress: Progress | None) -> Solution:
 def _linear(data: Dataset, search: Search, progress: Progress | None) -> Solution:
     """Return the solution of a model that is linear in its parameters: all are searched."""
     columns, torque = data.in_memory
-    bounds = bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
+    bounds = _bounds_for(data.choice.model, search.bounds, columns, torque, papers=search.preset == "paper")
     reduced = solved(data.blocks, positive_among(data.choice.model.linear))
     began = time.perf_counter()
     trials = _search(data, reduced, bounds, search, progress)
@@ -101,7 +105,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solu
     unbounded, p = np.full(len(model.linear), np.nan), len(model.linear)
     low, high = (np.concatenate([unbounded, ends]) for ends in model.bounds(motion, data.signals.band[1]))
     parameters = (*model.linear, *model.nonlinear)
-    low, high = narrowed(low, high, search.bounds, parameters, model.name, zero=data.place.reference)
+    low, high = _narrowed(low, high, search.bounds, parameters, model.name, zero=data.place.reference)
     _check_population(search, len(model.nonlinear))
     problem = Problem(model, motion, data.signals.torque, low[p:], high[p:]).of(data.used)
     began = time.perf_counter()
@@ -119,7 +123,7 @@ def _nonlinear(data: Dataset, search: Search, progress: Progress | None) -> Solu
         near = problem.solve(best.nonlinear) if model.linear else descend(problem, best.nonlinear)
         exact = min(near, best, key=lambda found: found.fitness)
     except RuntimeError as error:
-        raise unproven(error) from error
+        raise _unproven(error) from error
     columns, target = problem.linearised(exact)
     blocks = Blocks.of(columns, target)
     gap = exact.optimum.relative_gap(best.fitness)
@@ -167,3 +171,69 @@ def _check_population(search: Search, count: int) -> None:
         search.settings.population_for(count)
     except ValueError as error:
         raise WrongUse(f"--population: {error}") from None
+
+
+def _bounds_for(model: SeparableModel, given: Given, columns: Array, torque: Array, *, papers: bool) -> Bounds:
+    """Return the bounds of the linear parameters: the given ranges, else the paper's if `papers` is true, else those
+    from the data.
+
+    No bound is below zero for a parameter that cannot be negative for physical reasons. Raises WrongUse for an
+    unknown parameter, an empty range, or a negative range of a parameter that cannot be negative.
+    """
+    found = bounds_from_data(columns, torque, positive=positive_among(model.linear))
+    low, high = found.low.copy(), found.high.copy()
+    if papers:
+        low[:2], high[:2] = PAPER_BOUNDS.low, PAPER_BOUNDS.high
+    low, high = _narrowed(low, high, given, model.linear, model.name)
+    return Bounds(low, high, tuple(parameter.name for parameter in model.linear))
+
+
+def _narrowed(
+    low: Array, high: Array, given: Given, parameters: Sequence[Parameter], model: str, *, zero: float = 0.0
+) -> tuple[Array, Array]:
+    """Return the bounds (p,), narrowed to the given ranges; parameters that are deflections count from `zero`, rad.
+
+    Raises WrongUse for an unknown parameter, an empty range, or a negative range of a parameter that cannot be
+    negative.
+    """
+    low, high, names = low.copy(), high.copy(), [parameter.name for parameter in parameters]
+    for name, (lowest, highest) in given.items():
+        if name not in names:
+            near = meant(name, names)
+            raise WrongUse(f"--bounds {name}: model {model!r} has no such parameter; {near}it has {', '.join(names)}")
+        if not (np.isfinite(lowest) and np.isfinite(highest) and lowest < highest):
+            raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: write the lower one first, both as numbers in SI")
+        at = names.index(name)
+        if parameters[at].positive and highest <= 0.0:
+            raise WrongUse(f"--bounds {name}={lowest:g}:{highest:g}: {name} is not negative; give a range above zero")
+        shift = zero if parameters[at].place else 0.0
+        low[at], high[at] = max(lowest, 0.0) if parameters[at].positive else lowest - shift, highest - shift
+    return low, high
+
+
+def solved(blocks: Blocks, positive: tuple[int, ...] = ()) -> Reduced:
+    """Return the exact optimum of the blocks. positive: the indices of the parameters that must not be negative.
+
+    Raises Untrustworthy if no optimum could be proven.
+    """
+    try:
+        return reduce(blocks, blocks.rows, positive)
+    except RuntimeError as error:
+        raise _unproven(error) from error
+
+
+def without_signs(blocks: Blocks, values: Array, positive: tuple[int, ...]) -> tuple[Array, Array] | None:
+    """Return the optimum (p,) without sign constraints, and its half intervals; None if none of the values (p,) is
+    zero.
+
+    positive: the indices of the constrained parameters. Raises Untrustworthy as `solved`.
+    """
+    if not any(values[at] <= 0.0 for at in positive):
+        return None
+    found = solved(blocks).optimum.genes
+    return found, confidence_intervals(blocks, found).half_width
+
+
+def _unproven(error: RuntimeError) -> Untrustworthy:
+    """Return the error for an optimum that could not be proven."""
+    return Untrustworthy(f"no exact optimum could be proven ({error}): leave a term out of --model")

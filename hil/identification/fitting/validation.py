@@ -11,7 +11,7 @@ from ga.model.record import positive_among
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import distinct as decided
 from hil.identification.fitting.dataset import Dataset
-from hil.identification.fitting.exact import solved
+from hil.identification.fitting.solution import solved
 from hil.identification.result import Validation
 from hil.signals import constants as c
 
