@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -128,7 +128,7 @@ def unloaded(signals: Signals, *, balanced: bool = False) -> Unloaded:
         return Unloaded(middle)
     balance, symmetric = curve.crossing(0), curve.crossing(2)
     encoder = 0.0 if middle == 0.0 else None
-    if curve.is_straight:
+    if len(curve.coefficients) == 2:  # the stiffness is the same everywhere
         return Unloaded(middle if encoder == 0.0 or balance is None else balance)
     agreeing = _agreeing(curve, encoder, balance)
     if not agreeing and balanced and balance is not None:
@@ -172,15 +172,6 @@ class _Curve:
     scale: float
     limit: float
 
-    @cached_property
-    def torque(self) -> Legendre:
-        return Legendre(self.coefficients, self.domain)
-
-    @property
-    def is_straight(self) -> bool:
-        """Return whether the stiffness is the same everywhere."""
-        return len(self.coefficients) == 2
-
     def imbalance(self, place: float) -> float:
         """Return the evidence that the torque is not zero at a deflection, rad: its square over its variance."""
         return self._evidence(self._series(place))
@@ -205,7 +196,7 @@ class _Curve:
 
     def crossing(self, order: int) -> float | None:
         """Return the deflection, rad, nearest the middle of the motion, at which a derivative of the torque is zero."""
-        roots = self.torque.deriv(order).trim().roots()
+        roots = Legendre(self.coefficients, self.domain).deriv(order).trim().roots()
         real = np.real(roots[np.isreal(roots)])
         inside = real[(real >= self.domain[0]) & (real <= self.domain[1])]
         return float(inside[np.argmin(np.abs(inside - np.mean(self.domain)))]) if inside.size else None

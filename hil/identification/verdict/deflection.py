@@ -59,7 +59,13 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
         moved = " and ".join(f"{name} by {100.0 * change:+.2g} %" for name, change in changes.items())
         text = f"{_cause(found)}. They are corrected with {how}: {moved}. To need less correction, {_REMEDY}"
         said.append(Diagnostic("deflection-noise", text))
-    return said + _weak(found)
+    if found.is_weak:
+        text = (
+            "the motion hardly follows the recorded command. The noise of the deflection is therefore corrected with a "
+            "simulation, and Kc and Bc are less accurate. Record the set-point that was driven"
+        )
+        said.append(Diagnostic("deflection-noise", text))
+    return said
 
 
 def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Diagnostic]:
@@ -69,16 +75,6 @@ def ignored_command(signals: Signals, found: DynamicStiffness | None) -> list[Di
     text = (
         "the motion does not follow the recorded command, so it is not used. Kc and Bc are less accurate where "
         f"the deflection is noisy. Record the set-point that was driven{_IMPORTED if signals.imported else ''}"
-    )
-    return [Diagnostic("deflection-noise", text)]
-
-
-def _weak(found: DeflectionErrors) -> list[Diagnostic]:
-    if not found.is_weak:
-        return []
-    text = (
-        "the motion hardly follows the recorded command. The noise of the deflection is therefore corrected with a "
-        "simulation, and Kc and Bc are less accurate. Record the set-point that was driven"
     )
     return [Diagnostic("deflection-noise", text)]
 

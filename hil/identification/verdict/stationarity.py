@@ -35,14 +35,13 @@ def pooled_intervals(
     fitted = [_fitted(blocks.between(start, stop)) for start, stop in pairwise((0, *edges))]
     widened, components = intervals.half_width.copy(), list[VarianceComponents | None]()
     for at in range(len(widened)):
-        usable = [
-            (values[at], half[at] / c.NORMAL) for values, half in fitted if at < len(half) and 0.0 < half[at] < np.inf
-        ]
-        if len(usable) < 2:
+        is_known = [at < len(half) and 0.0 < half[at] < np.inf for _, half in fitted]
+        if sum(is_known) < 2:
             components.append(None)
             continue
+        usable = [(one[at], half[at] / c.NORMAL) for (one, half), known in zip(fitted, is_known, strict=True) if known]
         pooled = between(*np.array(usable).T)
-        values = tuple(float(one[at]) if at < len(half) and 0.0 < half[at] < np.inf else np.nan for one, half in fitted)
+        values = tuple(float(one[at]) if known else np.nan for (one, _), known in zip(fitted, is_known, strict=True))
         components.append(VarianceComponents(pooled.within, pooled.between, values, pooled.p_alike))
         widened[at] = max(widened[at], 0.5 * (pooled.ci95[1] - pooled.ci95[0]))
     return replace(intervals, half_width=widened), tuple(components)
