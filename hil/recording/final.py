@@ -15,11 +15,13 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.recording.channels import CHANNELS, ROW, Rows
+from hil.recording.channels import CHANNELS, ROW, Row, Rows
 from hil.recording.integrity import header_hash, plain, stored_hash
 from hil.recording.lateness import Lateness
 from hil.recording.output import atomic_write, check_space
 from hil.recording.reader import BLOCK, SCHEMA, Event, Recording
+
+Channels = Mapping[str, NDArray[np.float64]]
 
 _LEVEL = 6  # of the deflation
 OVERHEAD = 1 << 18
@@ -39,16 +41,16 @@ class Finalised(NamedTuple):
 
 
 def finalise(
-    source: Path, output: Path, *, end_reason: str | None = None, force: bool = False, rows: Rows | None = None
+    source: Path, output: Path, *, end_reason: str | None = None, force: bool = False, channels: Channels | None = None
 ) -> Finalised:
     """Write the recording `source` (finished or in progress, any known schema) to `output` as a final file.
 
     The output appears complete or not at all; `source` is not changed. end_reason: why the run ended; None marks the
-    recording as recovered. force: replace an existing file. rows: (n,) of ROW in place of those of `source`. Raises
-    WrongUse if the output cannot be written.
+    recording as recovered. force: replace an existing file. channels: (n,) each, SI, in place of the rows of `source`;
+    a missing one has no reading. Raises WrongUse if the output cannot be written.
     """
     with Recording(source) as recording:
-        length = len(recording) if rows is None else len(rows)
+        length = len(recording) if channels is None else len(channels["time"])
         done = Finalised(length, recording.damaged, _is_trusted(recording), recording.damage)
         check_space(output, length * ROW.itemsize + OVERHEAD)
         with (
@@ -59,7 +61,8 @@ def finalise(
             write_attributes(file, attributes, recording.profile, recording.truth())
             file.attrs["complete"] = end_reason == "done"
             file.attrs["end_reason"] = "recovered" if end_reason is None else end_reason
-            file.attrs.update(_write_samples(file, partial(_blocks, recording, rows), length, _rate(recording)))
+            blocks = recording.rows if channels is None else partial(_blocks, channels, length)
+            file.attrs.update(_write_samples(file, blocks, length, _rate(recording)))
             events = [*recording.events(), *([Event(0.0, "damaged-rows", done.damage)] if done.damage else [])]
             _write_events(file, events)
             if done.trusted:
@@ -90,12 +93,15 @@ def sign(file: h5py.File, truth: Mapping[str, float], events: list[Event]) -> No
     file.attrs["sha256_header"] = header_hash(attributes, profile, truth, events)
 
 
-def _blocks(recording: Recording, rows: Rows | None) -> Iterator[tuple[int, Rows]]:
-    """Yield the rows in blocks, each with the index of its first row. rows: None for those of the recording."""
-    if rows is None:
-        yield from recording.rows()
-    else:
-        yield from ((start, rows[start : start + BLOCK]) for start in range(0, len(rows), BLOCK))
+def _blocks(channels: Channels, length: int) -> Iterator[tuple[int, Rows]]:
+    """Yield the rows of channels in blocks, each with the index of its first row. The next block has the same array."""
+    rows = np.full(min(BLOCK, length), np.array(Row(0), dtype=ROW))
+    for start in range(0, length, BLOCK):
+        rows = rows[: length - start]
+        rows["seq"] = np.arange(start, start + len(rows))
+        for name, values in channels.items():
+            rows[name] = values[start : start + BLOCK]
+        yield start, rows
 
 
 def _write_samples(
@@ -109,18 +115,32 @@ def _write_samples(
     names = [name for name in CHANNELS if name != "joint_torque" or not _from_cell(blocks)]
     _, first = next(blocks(), (0, np.empty(0, dtype=ROW)))
     for name in names:
-        _create_channel(group, name, length, first[name])
+        _create_channel(group, name, length, first[name][: BLOCK // 4])
     if "joint_torque" not in names:
         group["joint_torque"] = group["torque"]
     digest, lateness = hashlib.sha256(), Lateness(rate)
+    before = dict[str, bytes]()
     for start, rows in blocks():
         for name in names:
-            group[name][start : start + len(rows)] = rows[name]
+            before[name] = _write_block(group[name], start, rows[name].tobytes(), before.get(name, b""))
         digest.update(rows.tobytes())
         lateness.add(rows)
     file.flush()
     stored = stored_hash(group, CHANNELS)
     return {"sha256": digest.hexdigest(), "sha256_stored": stored, **lateness.attributes()}
+
+
+def _write_block(dataset: h5py.Dataset, start: int, values: bytes, before: bytes) -> bytes:
+    """Write the values of a block, and return them. before: those of the block before it; of equal blocks, as of a
+    channel without readings, only the first is compressed.
+    """
+    if values == before:
+        mask, chunk = dataset.id.read_direct_chunk((start - BLOCK,))
+        dataset.id.write_direct_chunk((start,), chunk, mask)
+    else:
+        block = np.frombuffer(values, dtype=dataset.dtype)
+        dataset[start : start + len(block)] = block
+    return values
 
 
 def _create_channel(group: h5py.Group, name: str, length: int, first: NDArray[Any]) -> None:

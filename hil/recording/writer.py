@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording.channels import END_MARK, ROW, Row, Rows, TorqueScale
+from hil.recording.channels import END_MARK, Row, Rows, TorqueScale
 from hil.recording.final import OVERHEAD, finalise, sign, write_attributes
 from hil.recording.integrity import EVENT, LIVE, packed, packed_array, packed_event, second_header
 from hil.recording.output import NameTaken, check_space, new_temporary, part_path, writing
@@ -210,11 +210,11 @@ class RecordingWriter:
         self._add(event, self._event_offset + self._events * EVENT.itemsize)
         self._events += 1
 
-    def finish(self, end_reason: str, *, force: bool = False, rows: Rows | None = None) -> Path:
+    def finish(self, end_reason: str, *, force: bool = False, channels: Mapping[str, Array] | None = None) -> Path:
         """Write the final file, remove the `.part`, and return the path of the final file. If that fails, the `.part`
         is kept.
 
-        force: replace an existing file. rows: (n,) of ROW, all rows, where none was added. Raises WrongUse, and
+        force: replace an existing file. channels: (n,) each, SI, of all rows, if none was added. Raises WrongUse, and
         Untrustworthy if the disk fails.
         """
         self.flush()
@@ -223,7 +223,7 @@ class RecordingWriter:
             raise WrongUse(f"{self.path} is closed already")
         if not is_at(self._file, self.path):
             self._rescue(force=force)
-        finalise(self.path, self.final, end_reason=end_reason, force=force, rows=rows)
+        finalise(self.path, self.final, end_reason=end_reason, force=force, channels=channels)
         file, self._file = self._file, None
         remove(file, self.path)
         return self.final
@@ -339,14 +339,10 @@ def write(path: Path, header: Header, channels: Mapping[str, Array], *, force: b
     channels: arrays (n,) in SI, by the names in CHANNELS; a missing channel is stored as NaN. force: replace an
     existing file. Raises WrongUse.
     """
-    length = len(channels["time"])
-    rows = np.full(length, np.array(Row(0), dtype=ROW))
-    rows["seq"] = np.arange(length)
-    for name, values in channels.items():
-        rows[name] = values
+    channels = dict(zip(channels, np.broadcast_arrays(*channels.values()), strict=True))
     with RecordingWriter(path, header, 0) as writer:
         try:
-            writer.finish("done", force=force, rows=rows)
+            writer.finish("done", force=force, channels=channels)
         except BaseException:
             writer.discard()
             raise

@@ -24,7 +24,7 @@ import pytest
 
 from drivers.servo import Status
 from hil.errors import Untrustworthy, WrongUse
-from hil.recording import integrity, reader
+from hil.recording import final, integrity, reader
 from hil.recording import writer as writer_module
 from hil.recording.channels import CHANNELS, ROW, Row, TorqueScale
 from hil.recording.final import finalise
@@ -108,6 +108,16 @@ def test_a_channel_is_compressed_as_suits_its_values(tmp_path: Path) -> None:
     with Recording(tmp_path / "a.h5") as recording:
         assert recording.verify()
         assert np.array_equal(recording.channel("dtheta"), counts)
+
+
+def test_blocks_that_repeat_are_read_as_they_were_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(final, "BLOCK", 8)
+    torque = np.repeat([0.1, 0.1, 0.2, 0.2, 0.1], [8, 8, 8, 8, 5])
+    write(tmp_path / "a.h5", HEADER, {"time": np.arange(37.0), "torque": torque})
+    with Recording(tmp_path / "a.h5") as recording:
+        assert recording.verify()
+        assert np.array_equal(recording.channel("torque"), torque)
+        assert np.isnan(recording.channel("dtheta")).all()
 
 
 @pytest.mark.parametrize("stage", ["live", "final"])
