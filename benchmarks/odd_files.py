@@ -1,19 +1,22 @@
 """Files of every kind that a person may name by mistake, recordings that no bench makes, and tables drawn at random.
 
 Run it as `python benchmarks/odd_files.py --count 50000`: each drawn table is imported, and must be read right or
-refused. The last line counts the tables that were read right, refused, and read wrong; with one read wrong the exit
+refused. The rows count by kind the tables that were read right, refused, and read wrong; with one read wrong the exit
 status is 1.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import os
 import struct
 import sys
 import tempfile
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,6 +35,7 @@ from hil.stand.file import SIMULATED
 
 Array = NDArray[np.float64]
 RATE = 200.0  # Hz
+_FOUND = ("right", "refused", "wrong")
 
 PLAN = """[campaign]
 name = "hand"
@@ -189,146 +193,161 @@ def _of_no_kind(folder: Path) -> None:
 
 
 class Drawn(NamedTuple):
-    """A table drawn at random. columns: what is asked of it. true: the channels in SI, (n,) each; {}: it must be
-    refused. words: what was drawn.
+    """A table drawn at random. data: the bytes of the file. columns: what is asked of it. true: the channels in SI,
+    (n,) each; {}: it must be refused. kinds: what was drawn. words: the same, with the names.
     """
 
-    text: str
+    data: bytes
     columns: dict[str, Column]
     true: dict[str, Array]
+    kinds: tuple[str, ...]
     words: str
 
 
 _NAMES = {
-    "time": [
-        "t",
-        "time",
-        "Time",
-        "timestamp",
-        "stamp",
-        "clock",
-        "Zeit",
-        "elapsed time",
-        "x-axis",
-        "t_rel",
-        "sample time",
-    ],
-    "torque": ["tau", "torque", "Moment", "cell", "load cell", "effort", "Drehmoment", "M-arm", "1", "CH1", "tau.z"],
-    "dtheta": [
-        "q",
-        "angle",
-        "joint rotation",
-        "position",
-        "pos",
-        "theta",
-        "2",
-        "CH2",
-        "Winkel",
-        "joint/angle",
-        "rev count",
-    ],
-    "": ["current", "num cycles", "temperature", "mode", "a", "min", "rotation speed", "in", "rev", "cell 2", "note"],
+    "time": "t,time,Time,timestamp,stamp,clock,Zeit,elapsed time,x-axis,t_rel,sample time,frame,uptime",
+    "torque": "tau,torque,Moment,cell,load cell,effort,Drehmoment,M-arm,1,CH1,tau.z,joint torque,arm/tau,F1 (arm)",
+    "dtheta": "q,angle,joint rotation,position,pos,theta,2,CH2,Winkel,joint/angle,rev count,q[2],phi-rel,\u03b8",
+    "": "current,num cycles,temperature,mode,a,min,rotation speed,in,rev,cell 2,note,cmd,3,motor angle,t2,torque cmd,s",
 }
 _UNITS = {
-    "time": ["s", "ms", "us", "sec", "milliseconds", "min"],
-    "torque": ["N*m", "Nm", "mN m", "mNm", "N cm", "kgf*cm", "oz-in", "lbf*in", "Nmm"],
-    "dtheta": ["rad", "deg", "degrees", "mrad", "rev", "\u00b0"],
-    "": ["A", "V", "degC", "counts", "%", "rpm"],
+    "time": "s,ms,us,sec,milliseconds,min,ns,seconds,h",
+    "torque": "N*m,Nm,mN m,mNm,N cm,kgf*cm,oz-in,lbf*in,Nmm,N\u00b7m,uNm,gf cm",
+    "dtheta": "rad,deg,degrees,mrad,rev,\u00b0,turns,arcmin",
+    "": "A,V,degC,counts,%,rpm,rad/s,mrad,ms,-",
 }
 _DIMENSION = {"time": "time", "torque": "torque", "dtheta": "angle"}
-_STYLES = ("{0} [{1}]", "{0} ({1})", "{0}/{1}", "{0}_{1}", "{0} in {1}", "{0}", "row", "option")
+_STYLES = ("{0} [{1}]", "{0} ({1})", "{0}/{1}", "{0}_{1}", "{0} in {1}", "{0}, {1}", "{0}", "row", "[row]", "option")
 _ABOVE = (
     "",
     "# log of rig 7\n",
-    "Model,DL850\nDate,2024/05/01\nRecord Length,4000\n",
+    "Model{0}DL850\nDate{0}2024/05/01\nRecord Length{0}4000\n",
     "a run of 3 s at 200 Hz\n\n",
-    "sep=;\n",
+    "sep={0}\n",
+    "Gain{0}2\nOffset{0}0{1}5\n\n",
+    "% 1{0}2{0}3\n",
 )
-_STAMPS = ("even", "jitter", "falling", "whole", "wrapped", "date", "lost")
+_STAMPS = "even,jitter,falling,whole,wrapped,date,lost,epoch,midnight,shuffled,doubled,days,counter,ISO"
+_WRITTEN = "plain,exponents,fixed,thousands,quoted,gaps,trailing,spaced"
+_CLOCKS = {"date": "2024-05-01 {:%H:%M:%S.%f}", "midnight": "{:%H:%M:%S.%f}", "ISO": "2024-05-01T{:%H:%M:%S.%f}Z"}
 
 
 def draw(seed: int) -> Drawn:
-    """Return a table with headings, units and stamps drawn at random."""
+    """Return a table of a chirp with headings, units, stamps and numbers written at random."""
     rng = np.random.default_rng(seed)
-    pick = lambda choices: choices[int(rng.integers(len(choices)))]  # noqa: E731 - of this generator
-    t, kind = np.arange(400) / RATE + 0.37, pick(_STAMPS)
-    true = {"time": t, "torque": 0.1 * np.sin(9.0 * t), "dtheta": 0.2 * np.cos(11.0 * t)}
-    order = [*rng.permutation(["time", "torque", "dtheta", ""])]
-    style, delimiter, above = pick(_STYLES), pick((",", ";", "\t")), pick(_ABOVE)
-    named = {one: pick(_NAMES[one]) for one in order}
-    unit = {one: pick(_UNITS[one]) for one in order}
-    stamps, written = _stamps(rng, kind, t, unit)
-    cells = {"": [f"{one:.2f}" for one in rng.normal(size=len(t))], "time": stamps}
-    for one, dimension in (("torque", "torque"), ("dtheta", "angle")):
-        cells[one] = [f"{value:.9g}" for value in true[one] / units.factor(dimension, unit[one])]
-    form = "{0}" if style in {"row", "option"} else style
-    heads = [named[one] if one == "time" and not written else form.format(named[one], unit[one]) for one in order]
-    lines = [delimiter.join(cells[one][at] for one in order) for at in range(len(t))]
-    if kind == "falling":
-        lines.reverse()
-    if kind == "lost":
-        kept = np.sort(rng.choice(len(t), 380, replace=False))
-        lines, true = [lines[at] for at in kept], {one: values[kept] for one, values in true.items()}
-    second = (
-        [delimiter.join("" if one == "time" and not written else f"({unit[one]})" for one in order)]
-        if style == "row"
-        else []
-    )
-    columns = {
-        one: Column(named[one], unit[one] if style == "option" and (one != "time" or written) else None) for one in true
+
+    def pick(choices: str | Sequence[str]) -> str:
+        known = choices.split(",") if isinstance(choices, str) else choices
+        return known[int(rng.integers(len(known)))]
+
+    t = np.arange(400) / RATE + rng.uniform(0.0, 5.0)
+    phase = 2.0 * np.pi * (t - t[0]) * (0.7 + 2.0 * (t - t[0]))
+    true = {"time": t, "torque": 0.3 * np.sin(phase + 0.2), "dtheta": 0.2 * np.sin(phase)}
+    stamped, style, written, mark = pick(_STAMPS), pick(_STYLES), pick(_WRITTEN), pick((".", ".", ","))
+    delimiter = pick(("\t", ";", "|", " ", *(",," if mark == "." else "")))
+    order = [str(one) for one in rng.permutation([*true, *[""] * int(rng.integers(4))])]
+    named, unit = [pick(_NAMES[one]) for one in order], [pick(_UNITS[one]) for one in order]
+    at = {one: order.index(one) for one in true}
+    stamps, unit[at["time"]], rows = _stamps(rng, stamped, t, unit[at["time"]])
+    columns = []
+    for one, of in zip(order, unit, strict=True):
+        factor = units.factor(_DIMENSION[one], of) if one in {"torque", "dtheta"} else 1.0
+        texts = [_number(value, written) for value in (true.get(one, rng.normal(size=len(t))) / factor).tolist()]
+        if one in {"torque", "dtheta"}:
+            true[one] = factor * np.array([float(text.replace(",", "")) for text in texts])
+        columns.append(stamps if one == "time" else texts)
+    for place in rng.choice(len(t), 9, replace=False) if written == "gaps" else ():
+        columns[at["torque"]][place], true["torque"][place] = (
+            pick(("NaN", "-", "n/a", *([""] if delimiter != " " else []))),
+            math.nan,
+        )
+    swapped = str.maketrans(".,", ",." if mark == "," else ".,")
+    heads = [style.format(name, of) if "{" in style and of else name for name, of in zip(named, unit, strict=True)]
+    lines = [heads, *([unit] if style == "row" else [[f"[{of}]" for of in unit]] if style == "[row]" else [])]
+    lines += [[column[place].translate(swapped) for column in columns] for place in rows]
+    bare = delimiter == " " and rng.random() < 0.5
+    last = (delimiter if written == "trailing" else "") + pick(("\n", "\r\n"))
+    text = pick(_ABOVE).format(delimiter, mark)
+    for line in lines:
+        quoted = [f'"{one}"' if written == "quoted" or (delimiter in one and not bare) else one for one in line]
+        text += delimiter.join(one.rjust(12) if written == "spaced" else one for one in quoted) + last
+    asked = {
+        one: Column(named[place], (unit[place] or None) if style == "option" else None) for one, place in at.items()
     }
-    words = f"{seed}: {kind}, {style}, {named}, {unit}"
-    if rng.random() < 0.05:
-        columns["torque"], true = Column(named["dtheta"], "N*m"), {}
-    return Drawn("\n".join([above + delimiter.join(heads), *second, *lines, ""]), columns, true, words)
+    wrong = {0: "dtheta", 1: "time", 2: ""}.get(int(rng.integers(40)))
+    if wrong is not None and wrong in order:
+        asked["torque"] = Column(named[order.index(wrong)], "N*m" if wrong else None)
+    true = {} if asked["torque"].name != named[at["torque"]] or stamped == "counter" else true
+    true = {one: values[np.unique(rows)] for one, values in true.items()}
+    kinds = (f"stamps: {stamped}", f"headings: {style}", f"numbers: {written}", f"decimal {mark} between {delimiter!r}")
+    words = f"{seed}: {kinds}, {bare}, {asked}, {[*zip(order, named, unit, strict=True)]}"
+    encoding = pick(("utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"))
+    return Drawn(text.encode(encoding, "replace"), asked, true, kinds, words)
 
 
-def _stamps(rng: np.random.Generator, kind: str, t: Array, unit: dict[str, str]) -> tuple[list[str], bool]:
-    """Return the cells of the times, and whether they are numbers in the drawn unit."""
-    if kind == "date":
-        return [f"2024-05-01 10:00:{one:06.3f}" for one in t], False
-    factor = units.factor("time", unit["time"])
-    if kind == "whole":
-        unit["time"] = "s"
-        return [f"{math.floor(one)}" for one in t], True
+def _number(value: float, written: str) -> str:
+    forms = {"exponents": "{:.8e}", "fixed": "{:.4f}", "thousands": "{:,.3f}"}
+    return forms.get(written, "{:.9g}").format(value)
+
+
+def _stamps(rng: np.random.Generator, kind: str, t: Array, unit: str) -> tuple[list[str], str, NDArray[np.int64]]:
+    """Return the cells of the times, their unit, "" if they are no numbers, and the rows in the order of the file."""
+    rows, count = np.arange(len(t)), len(t)
+    if kind in _CLOCKS:
+        start = datetime(2024, 5, 1, 23, 59, 55) if kind == "midnight" else datetime(2024, 5, 1, 10)
+        return [_CLOCKS[kind].format(start + timedelta(seconds=one)) for one in t.tolist()], "", rows
+    other = {
+        "counter": ([str(one + 100) for one in rows], ""),
+        "whole": ([f"{math.floor(one)}" for one in t], "s"),
+        "wrapped": ([f"{(1e3 * one + 31_500.0) % 32_768.0:.3f}" for one in t], "ms"),
+        "days": ([f"{45_413.4 + one / 86_400.0:.11f}" for one in t], "d"),
+    }
+    if kind in other:
+        return *other[kind], rows
     if kind == "jitter":
-        t += rng.uniform(0.0, 0.3 / RATE, len(t))
-    if kind == "wrapped":
-        unit["time"] = "ms"
-        return [f"{(1e3 * one + 31_500.0) % 32_768.0:.3f}" for one in t], True
-    return [f"{one / factor:.9f}" for one in t], True
+        t += rng.uniform(0.0, 0.3 / RATE, count)
+    order = {
+        "falling": rows[::-1],
+        "lost": np.sort(rng.choice(count, 380, replace=False)),
+        "doubled": np.sort([*rows, *rng.choice(count, 40, replace=False)]),
+        "shuffled": np.argsort(rows + rng.uniform(0.0, 2.5, count)),
+    }
+    factor, start = units.factor("time", unit), 1.7e9 if kind == "epoch" else 0.0
+    return [f"{one:.9f}" for one in ((start + t) / factor).tolist()], unit, order.get(kind, rows)
 
 
 def judged(drawn: Drawn, path: Path) -> str:
     """Return "right", "refused" or "wrong" for the import of a drawn table. path: of the file to write."""
-    path.write_text(drawn.text, encoding="utf-8")
+    path.write_bytes(drawn.data)
     try:
         channels = understand(path, drawn.columns)[2].channels
     except WrongUse:
         return "refused"
     if not drawn.true or len(channels["time"]) != len(drawn.true["time"]):
         return "wrong"
-    scale = {"time": 0.02, "torque": 1e-6, "dtheta": 1e-6}  # whole seconds are spread
-    close = [
-        np.abs(channels[one] - channels[one][0] - values + values[0]).max() < scale[one]
-        for one, values in drawn.true.items()
-    ]
-    return "right" if all(close) else "wrong"
+    late = np.abs(channels["time"] - channels["time"][0] - drawn.true["time"] + drawn.true["time"][0])
+    close = [np.allclose(channels[one], drawn.true[one], 1e-9, 0.0, equal_nan=True) for one in ("torque", "dtheta")]
+    allowed = 0.02 if "stamps: whole" in drawn.kinds else 1e-5  # s; whole seconds are spread
+    return "right" if late.max() < allowed and all(close) else "wrong"
 
 
 def main() -> int:
-    """Import tables drawn at random; return the exit status."""
+    """Import tables drawn at random and print how many of each kind were read right; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=50_000)
-    counts = {"right": 0, "refused": 0, "wrong": 0}
+    counts = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(parser.parse_args().count):
             drawn = draw(seed)
-            counts[found := judged(drawn, Path(folder) / "drawn.csv")] += 1
+            found = judged(drawn, Path(folder) / "drawn.csv")
+            counts.update((kind, found) for kind in ("all", *drawn.kinds))
             if found == "wrong":
-                print(drawn.words)
-    print(", ".join(f"{name} {count}" for name, count in counts.items()))
-    return int(counts["wrong"] > 0)
+                print(drawn.words, file=sys.stderr)
+    write = csv.writer(sys.stdout, lineterminator="\n").writerow
+    write(["kind", *_FOUND])
+    for kind in sorted({kind for kind, _ in counts}):
+        write([kind, *(counts[kind, found] for found in _FOUND)])
+    return int(counts["all", "wrong"] > 0)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +51,9 @@ def check_numbers(table: Table, known: Mapping[str, tuple[str, list[Part]]], raw
                 )
             if part.unit is None:
                 how = f"write it behind the name, such as {part.named}[{units.COMMON[dimension][0]}], or "
-                how = "" if len(found) == 1 else how
+                how = ("" if len(found) == 1 else how) + give(channel, dimension)
                 how = _DAYS if channel == "time" and _are_days(raw[part.title]) else how
-                missing.append(f"{part.named!r} ({_raw_range(raw[part.title])}): {how}{give(channel, dimension)}")
+                missing.append(f"{part.named!r} ({_raw_range(raw[part.title])}): {how}")
     if missing:
         raise WrongUse(
             f"{table.source} does not say the unit of {'; of '.join(missing)}. Or write the units in the headings, as "
@@ -66,16 +67,17 @@ def _are_days(values: Array) -> bool:
 
 
 def refuse_same(table: Table, known: Mapping[str, tuple[str, list[Part]]]) -> None:
-    """Raise WrongUse if torque and deflection are one column."""
-    pair = [next((known[one][1] for one in pair if one in known), []) for pair in PAIRS]
-    titles = [{part.title for part in found} for found in pair]
-    if titles[0] and titles[0] == titles[1]:
-        texts = [(name, sorted(own)) for name, own in table.labels().items() if len(own) > 1]
-        rows = "".join(f"; where {name!r} names the rows, write {own[0]}:COLUMN" for name, own in texts[:1])
-        raise WrongUse(
-            f"{table.source}: torque and deflection are both {pair[0][0].named!r}, so Kc would be a ratio of units: "
-            f"name the column of each{rows}"
-        )
+    """Raise WrongUse if two of torque, deflection and time are one column."""
+    roles = {"torque": PAIRS[0], "deflection": PAIRS[1], "time": ("time",)}
+    own = {role: next((known[one][1] for one in names if one in known), []) for role, names in roles.items()}
+    for (role, found), (other, second) in combinations(own.items(), 2):
+        if found and {part.title for part in found} == {part.title for part in second}:
+            texts = [(name, sorted(labels)) for name, labels in table.labels().items() if len(labels) > 1]
+            rows = "".join(f"; where {name!r} names the rows, write {labels[0]}:COLUMN" for name, labels in texts[:1])
+            why = ", so Kc would be a ratio of units" if other == "deflection" else ""
+            raise WrongUse(
+                f"{table.source}: {role} and {other} are both {found[0].named!r}{why}: name the column of each{rows}"
+            )
 
 
 def refuse_alternating(

@@ -317,7 +317,8 @@ def _once(channels: dict[str, Array], rows: Rows) -> tuple[dict[str, Array], Row
     If a coarse clock gives many rows the same time, rows with equal readings are not removed: a joint at rest has equal
     readings.
     """
-    kept = np.append(True, np.any([values[1:] != values[:-1] for values in channels.values()], axis=0))
+    same = [(one[1:] == one[:-1]) | (np.isnan(one[1:]) & np.isnan(one[:-1])) for one in channels.values()]
+    kept = ~np.append(False, np.all(same, axis=0))
     twice, times = len(rows) - np.count_nonzero(kept), channels["time"][kept]
     if not twice or np.count_nonzero(times[1:] == times[:-1]) > _COARSE * len(rows):
         return channels, rows, []

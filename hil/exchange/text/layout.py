@@ -35,6 +35,8 @@ _OF_TIME = re.compile(r"[\W_]*[hx]_?unit", re.IGNORECASE)  # of the horizontal a
 _NO_UNIT = frozenset({"", "-", "--", "1", "n/a"})
 _OTHER_UNITS = frozenset("% counts count cnt ticks lsb raw bits N kN mN lbf kgf Pa kPa MPa GPa bar W J".split())  # noqa: SIM905
 _LISTS = re.compile(r"[\[(]\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[\s,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*[\])]")
+_DATE = re.compile(r"\d{4}([-/.])\d\d?\1\d\d?|\d\d?([-/.])\d\d?\2\d{4}")
+_OF_DATE = re.compile("da[ty]|time|stamp|clock|zeit|tag|fecha|[^ -~]", re.IGNORECASE)
 _USUAL = 0.8  # share of the rows that have a number in a column
 
 
@@ -97,15 +99,28 @@ def layout(source: Path, lines: Iterator[str], wanted: Collection[str]) -> Layou
             if _UNITS.match(line) and not _OF_TIME.match(line)
         ]
         for cells in (*below, *labelled):
+            if delimiter == " " and len(cells) != len(names):  # a missing unit would shift those behind it
+                continue
             names = [_with_unit(name, unit) for name, unit in zip(names, _units(cells, len(names)), strict=True)]
     heads = frozenset(tuple(split_line(line, delimiter)) for line in plain[at:first] if line.strip())
     row = split_line(next(shown.plain([top[first]], delimiter)), delimiter)
     if shown.stamped:
         names, fields = ["received", *names], fields + 1
+    if delimiter == " ":
+        _refuse_shifted(source, names, row)
     texts = {} if shown.stamped else _labels(names, [split_line(plain[place], delimiter) for place in rows])
     clocks = frozenset(place for place, cell in enumerate(row[: len(names)]) if clock(cell) is not None)
     names = [f"{name} [s]" if place in clocks else name for place, name in enumerate(names)]
     return Layout(names, delimiter, first, fields, clocks, heads, shown, tuple(plain[:first]), texts)
+
+
+def _refuse_shifted(source: Path, names: Sequence[str], row: Sequence[str]) -> None:
+    for name, cell in zip(names, row, strict=False):
+        if _DATE.fullmatch(cell) and not _OF_DATE.search(name):
+            raise WrongUse(
+                f"{source}: the date {cell} stands under the heading {name!r}, so spaces within headings or cells "
+                "shift the columns: separate the columns by tabs or commas"
+            )
 
 
 def _refuse_lists(source: Path, lines: Sequence[str]) -> None:
@@ -142,7 +157,11 @@ def _rows(lines: Sequence[str]) -> tuple[str, int, list[int]]:
     if not counts:
         return "", 0, []
     shape = max(counts, key=lambda one: (counts[one], len(shapes) - shapes[::-1].index(one)))  # of equals the last
-    rows = [at for at, one in enumerate(shapes) if one == shape]
+    rows = [  # of the others, a cell may look like two: "0,1 2,5"
+        at
+        for at, line in enumerate(lines)
+        if len(split_line(line, shape[0])) == shape[1] and _numeric(line, shape[0]) > 1
+    ]
     filled = np.array(
         [[_is_reading(cell) or is_missing(cell) for cell in split_line(lines[at], shape[0])] for at in rows]
     )

@@ -43,6 +43,13 @@ def test_columns_arrive_in_si_and_time_starts_at_zero(tmp_path: Path) -> None:
         assert recording.profile == {"kind": "imported", "source": "a.csv", "where": ""}
 
 
+@pytest.mark.parametrize(("channel", "name"), [("torque", "TIME"), ("dtheta", "TIME"), ("torque", "POS")])
+def test_one_column_is_not_read_as_two_channels(tmp_path: Path, channel: str, name: str) -> None:
+    unit = PLAIN[channel].unit
+    with pytest.raises(WrongUse, match=f"are both '{name}'"):
+        imported(tmp_path, TABLE, (), **{channel: Column(name, unit)})
+
+
 @pytest.mark.parametrize(
     ("where", "kept"), [(("run != 1",), [30.0]), (("TAU>=20", "TAU<30"), [20.0]), (("POS<=-0.25",), [30.0])]
 )
@@ -76,6 +83,7 @@ def test_semicolons_and_decimal_commas_read_as_points_do(tmp_path: Path) -> None
 
 def test_rows_that_a_logger_wrote_twice_count_once_and_those_of_a_coarse_clock_each(tmp_path: Path) -> None:
     twice = [f"{0.01 * k:.2f},{k},{0.1 * k:.1f}" for k in range(50) for _ in range(1 + (k % 9 == 0))]
+    twice[:2] = ["0.00,,0.0"] * 2
     coarse = [f"{0.1 * (k // 10):.1f},{k // 2},{0.1 * (k // 2):.1f}" for k in range(50)]
 
     for rows, count, codes in ((twice, 50, ["mended-table"]), (coarse, 50, [])):

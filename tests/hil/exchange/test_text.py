@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.errors import WrongUse
 from hil.exchange.columns import open_table
 
 COUNT = 30
@@ -72,6 +73,32 @@ def test_numbers_are_found_below_and_beside_whatever_stands_around_them(
     found = found[np.isfinite(found)]
     np.testing.assert_allclose(np.diff(found), 0.002, atol=1e-6)
     assert len(found) >= COUNT - 1
+
+
+def test_the_first_rows_are_read_where_a_decimal_comma_looks_like_a_separator(tmp_path: Path) -> None:
+    values = [*range(600, 605), *range(9005, 9030)]
+    rows = "".join(f"{0.5 * at:.3f} {value:,.3f} {1100 + at}.25\n" for at, value in enumerate(values))
+    (tmp_path / "a.txt").write_text("t a b\n" + rows.translate(str.maketrans(".,", ",.")))
+    found, _ = open_table(tmp_path / "a.txt").read(["t", "a"], [])
+    np.testing.assert_array_equal(found, [0.5 * np.arange(30), values])
+
+
+def test_spaces_within_headings_shift_no_column_beside_a_date(tmp_path: Path) -> None:
+    body = written("{1:.6f} 2024-05-01 {s} {2:.6f} 0.5")
+    (tmp_path / "a.txt").write_text("tau date time q b\n" + body)
+    np.testing.assert_allclose(
+        open_table(tmp_path / "a.txt").read(["q"], [])[0][0], [row[2] for row in ROWS], atol=1e-6
+    )
+    (tmp_path / "a.txt").write_text("load cell time q b\n" + body)
+    with pytest.raises(WrongUse, match="date 2024-05-01 stands under the heading 'cell'"):
+        open_table(tmp_path / "a.txt")
+
+
+def test_a_line_of_units_that_lacks_one_gives_none_between_spaces(tmp_path: Path) -> None:
+    body = PLAIN.replace(",", " ")
+    for units, titles in (("s Nm rad", ["t [s]", "a [Nm]", "b [rad]"]), ("Nm rad", ["t", "a", "b"])):
+        (tmp_path / "a.txt").write_text(f"t a b\n{units}\n{body}")
+        assert list(open_table(tmp_path / "a.txt").titles) == titles
 
 
 def test_a_name_with_signs_is_a_name_in_a_sum_too(tmp_path: Path) -> None:
