@@ -38,9 +38,14 @@ class Fitted:
     torque_count: float = 0.0
 
     def part(self) -> Fitted:
-        """Return the fit on consecutive samples from the middle of the recording."""
+        """Return the fit on consecutive samples from the middle of the recording, or, where the joint rests there, from
+        where it moves most.
+        """
         whole, places = self.motion.whole
-        first = max(0, (len(whole) - TESTED) // 2)
+        last = max(0, len(whole) - TESTED)
+        starts = [last // 2, *(min(start, last) for start in range(0, len(whole), TESTED))]
+        power = [float(np.var(whole.dtheta[start : start + TESTED])) for start in starts]
+        first = starts[0 if power[0] > 0.1 * max(power) else int(np.argmax(power))]
         motion = whole.alone(slice(first, first + TESTED))
         rows = np.arange(len(whole))[places] - first
         inside = (rows >= 0) & (rows < len(motion))

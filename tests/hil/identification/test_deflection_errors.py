@@ -12,6 +12,7 @@ from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
 from ga.model.trajectory import Motion
 from hil.identification.deflection import correction
+from hil.identification.deflection import fitted as fitted_module
 from hil.identification.deflection.correction import deflection_errors
 from hil.identification.deflection.fitted import Change, Fitted
 from hil.identification.deflection.simulation import noisier
@@ -79,6 +80,17 @@ def test_without_a_command_a_simulation_takes_most_of_the_noise_off() -> None:
     assert np.all(np.abs(after) < 0.35 * np.abs(before))
     total = np.hypot(fit.half_width, found.half_width)[:2]
     assert np.all(np.abs(after) * TRUE < 1.5 * total)
+
+
+@pytest.mark.parametrize(("first", "last", "found"), [(0, 6000, 2500), (4900, 5900, 5000), (100, 900, 0)])
+def test_the_errors_are_tried_out_where_the_joint_moves(
+    monkeypatch: pytest.MonkeyPatch, first: int, last: int, found: int
+) -> None:
+    monkeypatch.setattr(fitted_module, "TESTED", 1000)
+    fit = fitted(1e-4)
+    moves = (np.arange(len(TIME)) >= first) & (np.arange(len(TIME)) < last)
+    motion = replace(fit.motion, dtheta=np.where(moves, fit.motion.dtheta, 0.0))
+    assert replace(fit, motion=motion).part().motion.time[0] == TIME[found]
 
 
 def test_a_command_that_has_nothing_to_do_with_the_motion_is_weak_and_not_used() -> None:
