@@ -125,6 +125,11 @@ class Cells:
             self._unsure.setdefault(mark, place)
         return values.get(self._mark, next(iter(values.values())))
 
+    @property
+    def has_commas(self) -> bool:
+        """Return whether a number can only have a decimal comma."""
+        return "," in self._sure
+
     def _going_on(self, at: int, time: float, period: float) -> float:
         """Return the time of a clock, continued past midnight or past the full hour. at: index of the column. period:
         s, after which the clock begins anew.

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from io import StringIO
+from itertools import islice, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.exchange.row_filter import RowFilter
+from hil.exchange.text.cells import Cells, NotANumber
 from hil.exchange.text.layout import Layout
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
+
+_FIRST = 1000  # rows that show whether a comma is the decimal mark
 
 
 def numbers(
@@ -27,9 +33,11 @@ def numbers(
     is_text = any(isinstance(one.value, str) or one.written for _, one in filters)
     if any(form.monitor) or form.clocks & {*needed} or is_text:
         return None
-    parts, places, above = list[Array](), list[Rows](), form.above
+    parts, places, above, mark = list[Array](), list[Rows](), form.above, ""
     while text := block():
-        if (read := _parsed(text, form)) is None:
+        mark = mark or ("," if form.delimiter != "," and "," in text and _has_commas(text, form, needed) else ".")
+        as_points = text.replace(",", ".") if mark == "," else text
+        if (mark == "," and "." in text) or (read := _parsed(as_points, form)) is None:
             return None
         kept = np.ones(len(read), dtype=np.bool_)
         for at, one in filters:
@@ -38,6 +46,15 @@ def numbers(
         places.append(np.flatnonzero(kept) + above + 1)
         above += len(read)
     return (np.concatenate(parts, axis=1), np.concatenate(places)) if parts else None
+
+
+def _has_commas(text: str, form: Layout, needed: Sequence[int]) -> bool:
+    """Return whether a number in the columns that are needed can only have a decimal comma."""
+    cells = Cells(form.names, frozenset())
+    with suppress(NotANumber, IndexError, csv.Error):  # such a body is not plain
+        for row, at in product(islice(form.reader(StringIO(text)), _FIRST), needed):
+            cells.number(0, at, row[at])
+    return cells.has_commas
 
 
 def _parsed(text: str, form: Layout) -> Array | None:

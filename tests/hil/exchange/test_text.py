@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,6 +100,25 @@ def test_a_line_of_units_that_lacks_one_gives_none_between_spaces(tmp_path: Path
     for units, titles in (("s Nm rad", ["t [s]", "a [Nm]", "b [rad]"]), ("Nm rad", ["t", "a", "b"])):
         (tmp_path / "a.txt").write_text(f"t a b\n{units}\n{body}")
         assert list(open_table(tmp_path / "a.txt").titles) == titles
+
+
+@pytest.mark.parametrize(("last", "is_plain"), [("", True), ("1.000,5;1,5;2,5\n", False)])
+def test_numpy_reads_a_plain_body_with_decimal_commas_too(
+    tmp_path: Path, last: str, is_plain: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hil.exchange.text import plain
+
+    read, found = plain.numbers, list[object]()
+
+    def numbers(*given: Any) -> object:
+        found.append(read(*given))
+        return found[-1]
+
+    monkeypatch.setattr(plain, "numbers", numbers)
+    (tmp_path / "a.csv").write_text("t;a;b\n" + PLAIN.replace(",", ";").replace(".", ",") + last)
+    rows, _ = open_table(tmp_path / "a.csv").read(["a", "t"], [])
+    np.testing.assert_allclose(rows[0][:COUNT], [row[1] for row in ROWS], atol=1e-6)
+    assert (found[0] is not None) == is_plain
 
 
 def test_a_name_with_signs_is_a_name_in_a_sum_too(tmp_path: Path) -> None:
