@@ -159,14 +159,6 @@ def test_no_limit_is_raised_above_the_drives_own(make_cia402: Make) -> None:
     assert (get(0x3001, 2), get(0x6080), get(0x3201, 4)) == (4500, 50000, 1000)
 
 
-def test_a_limit_below_one_count_is_refused_and_nothing_is_armed(make_cia402: Make) -> None:
-    rig = make_cia402()
-    servo = rig.open()
-    with pytest.raises(DriverError, match="current limit is below one count"):
-        servo.arm(Limits(torque=1e-6, velocity=60.0, temperature=80.0, position=(-3.0, 3.0)))
-    assert not rig.device.motor.enabled
-
-
 def test_a_limit_that_the_drive_does_not_keep_is_refused_and_nothing_is_armed(make_cia402: Make) -> None:
     rig = make_cia402()
     servo = rig.open()

@@ -23,9 +23,7 @@ from sim_backend.wire.commander.device import number
 from sim_backend.wire.commander.emulator import CommanderTiming, new_board
 from sim_backend.wire.faults import (
     CorruptReplies,
-    DelayReplies,
     DropReplies,
-    DropRequests,
     DuplicateReplies,
     NoiseBefore,
     TruncateReplies,
@@ -143,34 +141,6 @@ def test_what_is_not_seven_whole_numbers_is_no_state(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "fault",
-    [
-        DropReplies(count=3),
-        TruncateReplies(count=3, keep=9),
-        DelayReplies(count=3, seconds=0.03),
-        DropRequests(count=3),
-        CorruptReplies(count=3),
-    ],
-)
-def test_a_lost_or_damaged_reply_is_one_gap_and_what_follows_is_fresh(foc: Rig, fault: Any) -> None:
-    servo = armed(foc)
-    foc.bus.faults.inject(fault)
-    gaps = 0
-    for step in range(40):
-        foc.wait(4e-3)
-        wanted = Command(Quantity.TORQUE, 1e-4 * (step % 7))
-        try:
-            sample = servo.exchange(wanted)
-        except (NoReply, BadReply):
-            gaps += 1
-            continue
-        assert foc.bus.motor.law.target == pytest.approx(wanted.value / KT, abs=2 * RESOLUTION)
-        assert sample.t_read <= foc.clock.now()
-    assert 1 <= gaps <= 2
-    assert foc.bus.motor.enabled
-
-
-@pytest.mark.parametrize(
     "fault", [DuplicateReplies(count=9), NoiseBefore(count=9, noise=b"\xffMOT: junk\r\nME0.5\n\r")]
 )
 def test_junk_and_doubled_lines_cost_nothing(foc: Rig, fault: Any) -> None:
@@ -266,21 +236,6 @@ def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> 
     assert off(foc)
 
 
-def test_a_limit_that_the_board_does_not_take_is_refused_with_the_motor_off(foc: Rig) -> None:
-    servo = foc.open()
-    foc.bus.garble("MLC0", "MLC9")
-    with pytest.raises(DriverError, match="current limit"):
-        servo.arm(LIMITS)
-    assert off(foc)
-    with pytest.raises(DriverError, match="below the resolution of a target"):
-        servo.arm(Limits(torque=1e-7, velocity=1.0, temperature=80.0, position=(-1.0, 1.0)))
-
-
-def test_a_port_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DriverError, match="there is no such port"):
-        CommanderServo(CommanderConfig(str(tmp_path / "nothing"), torque_constant=KT, watchdog=0.0))
-
-
 @pytest.mark.parametrize(
     ("change", "key"),
     [
@@ -304,29 +259,6 @@ def test_a_table_that_cannot_be_is_refused_at_its_key(change: dict[str, Any], ke
 
 
 # -- torque off -----------------------------------------------------------------------------------------------------
-
-
-def test_the_torque_is_off_after_close_and_after_an_exception_whatever_the_line_does(make_foc: Make) -> None:
-    rig = make_foc()
-    armed(rig).close()
-    assert off(rig)
-    for fault in (DropReplies(count=1000), CorruptReplies(count=1000), DropRequests(count=2)):
-        rig = make_foc()
-        servo = armed(rig)
-        rig.bus.faults.inject(fault)
-        with contextlib.suppress(DriverError):
-            servo.exchange(PUSH)
-        servo.close()
-        assert off(rig)
-
-
-def test_an_unconfirmed_torque_off_is_reported_and_may_be_requested_again(foc: Rig) -> None:
-    servo = armed(foc)
-    foc.bus.faults.inject(DropReplies(count=18))
-    with pytest.raises(DriverError, match="not confirmed"):
-        servo.disarm()
-    servo.disarm()
-    assert off(foc)
 
 
 CRASHES = """

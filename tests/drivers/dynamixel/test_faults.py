@@ -14,7 +14,6 @@ import pytest
 import serial
 
 from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.faults import RESTARTED
 from drivers.dynamixel.models import POSITION_LSB
 from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
@@ -115,14 +114,6 @@ def test_a_table_that_cannot_work_is_refused_with_its_key(changes: dict[str, Any
         replace(config("p"), **changes)
 
 
-# -- arming ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_torque_limit_below_one_count_is_refused(rig: Rig) -> None:
-    with pytest.raises(DriverError, match="below one count"):
-        rig.open().arm(Limits(torque=1e-4, velocity=1.0, temperature=60.0, position=(-1.0, 1.0)))
-
-
 # -- running --------------------------------------------------------------------------------------------------------
 
 
@@ -200,15 +191,6 @@ def test_set_points_that_need_stuffing_arrive(rig: Rig) -> None:
         servo.exchange(Command(Quantity.POSITION, counts * POSITION_LSB))
         assert rig.device.registers.get("goal_position") == counts
     assert b"\xff\xff\xfd\xfd" in rig.port.sent
-
-
-def test_a_servo_that_restarts_between_two_ticks_is_noticed(rig: Rig, limits: Limits) -> None:
-    servo = armed(rig, limits, watchdog=0.0)
-    rig.wait(1.0)
-    rig.device.reboot(rig.clock.now() - 0.5)
-    with pytest.raises(DeviceFault) as caught:
-        servo.exchange(PUSH)
-    assert caught.value.code == RESTARTED
 
 
 # -- stopping -------------------------------------------------------------------------------------------------------
