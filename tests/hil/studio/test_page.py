@@ -29,6 +29,7 @@ from hil.studio.commands import line_of
 from hil.studio.folder import Folder
 from hil.studio.guard import Access
 from hil.studio.jobs import Jobs
+from hil.studio.preview import preview
 from hil.studio.server import _text, app, bind
 
 from ..conftest import Maker, copied, exit_status
@@ -219,16 +220,17 @@ def test_an_alarm_stays_until_it_is_acknowledged_and_nothing_moves_before(
 
 def test_a_preview_of_a_run_of_any_length_takes_little_memory_and_time() -> None:
     # ru_maxrss of a process is at least that of the one it was forked from
-    code = "import resource; from hil.studio.preview import preview; import json, sys; from pathlib import Path; "
-    code += (
-        "f = preview('sim', {'duration': sys.argv[1]}); own = Path('/proc/self/status').read_text(); print(json.dumps"
-    )
-    code += "([f.get('said', ''), len(f['curves']['time']), int(own.split('VmHWM:')[1].split()[0]), "
+    code = "import resource; from hil.studio.preview import preview; import json, sys; from pathlib import Path\n"
+    code += "for duration in sys.argv[1:]:\n f = preview('sim', {'duration': duration})\n"
+    code += " own = Path('/proc/self/status').read_text()\n print(json.dumps([f.get('said', ''), "
+    code += "len(f['curves']['time']), int(own.split('VmHWM:')[1].split()[0]), "
     code += "resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss]))"
-    subprocess.run([sys.executable, "-c", code, "20"], capture_output=True, check=True)  # which may have to compile
-    for duration, words in (("20", ""), ("100000", "too long to be predicted"), ("1e9", "too long")):
-        out = subprocess.run([sys.executable, "-c", code, duration], capture_output=True, check=True).stdout
-        said, points, *sizes = json.loads(out)
+    program = [sys.executable, "-c", code]
+    subprocess.run([*program, "20"], capture_output=True, check=True)  # which may have to compile
+    durations = {"20": "", "100000": "too long to be predicted", "1e9": "too long"}
+    out = subprocess.run([*program, *durations], capture_output=True, check=True).stdout
+    for words, line in zip(durations.values(), out.splitlines(), strict=True):
+        said, points, *sizes = json.loads(line)
         assert words in said
         assert bool(words) == bool(said)
         assert 0 < points < 30_000
@@ -283,7 +285,7 @@ def test_each_joint_of_a_hand_is_a_stand_and_names_the_joint_that_follows(page: 
     for kind, place in (("record", "--stand=hand.toml"), ("doctor", "hand.toml"), ("design", "--stand=hand.toml")):
         words = line_of({"kind": kind, "stand": stiff["file"]}, Folder(tmp_path)).words
         assert {place, "--joint=stiff"} <= set(words)
-    assert page.post("/api/preview", json={"stand": stiff["file"]}).json()["limits"]["torque"]["limit"] == 0.03
+    assert preview("hand.toml", {}, "stiff")["limits"]["torque"]["limit"] == 0.03
     assert "unknown joint 'soff'" in page.post("/api/preview", json={"stand": "hand.toml#soff"}).json()["refused"]
 
 
