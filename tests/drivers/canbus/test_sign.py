@@ -63,7 +63,7 @@ def test_torque_and_motion_have_the_stands_sign_and_are_si(name: str) -> None:
     rig = make()
     servo = rig.open(sign=-1)
     servo.arm(limits)
-    for _ in range(1000):  # until a heavy rotor rests
+    for _ in range(500):  # until a heavy rotor rests
         rig.wait(2e-3)
         sample = servo.exchange(Command(Quantity.TORQUE, push))
     assert sample.motor_torque == pytest.approx(push, abs=torque_count)

@@ -11,7 +11,6 @@ import pytest
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.servo import OdriveServo
 from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity
-from sim_backend.wire.can_families import odrive as serve
 from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.slcan import SlcanAdapter, slcan_line
 from sim_backend.wire.faults import Unplug
@@ -124,15 +123,3 @@ def test_a_byte_that_is_no_text_wedges_nothing(line: tuple[PtyLine, CanBus]) -> 
 def test_the_wrong_bit_rate_is_no_reply_that_names_it(line: tuple[PtyLine, CanBus]) -> None:
     with pytest.raises(NoReply, match="250000 bit/s"):
         OdriveServo(config(line[0], bitrate=250_000, reply_timeout=0.03))
-
-
-def test_a_link_is_made_and_taken_away_and_never_put_over_a_file(tmp_path: Path) -> None:
-    link = tmp_path / "ttyCAN"
-    with serve(link, "0.5.6", (1, 2)):
-        assert link.is_symlink()
-    assert not link.is_symlink()
-    link.write_text("mine")
-    with pytest.raises(FileExistsError):
-        serve(link)
-    with pytest.raises(ValueError, match=r"0\.4"):
-        serve(link, "0.4.12")

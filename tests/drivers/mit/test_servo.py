@@ -16,7 +16,6 @@ from drivers.mit.config import MitConfig
 from drivers.mit.frames import Codec, models
 from drivers.servo import Command, Limits, Quantity
 from sim_backend.wire.can_families import mit as serve
-from sim_backend.wire.canbus.bus import CanBus
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.mit.tables import MODELS
@@ -165,12 +164,6 @@ def test_an_emulated_damiao_has_every_register_and_its_other_modes() -> None:
     device.handle(CanFrame(0x105, np.array([0.2, 5.0], dtype="<f4").tobytes()), 0.0)
     device.advance(3.0)
     assert device.motor.position > 0.1
-
-
-def test_serving_names_what_is_not_known() -> None:
-    with pytest.raises(ValueError, match="choose one of ak10-9"):
-        serve("nowhere", "ak1", interface="virtual")
-    assert CanBus([MitDevice("ak80-9")]).due() == math.inf
 
 
 def test_the_page_on_it_shows_the_counts_that_are_used() -> None:

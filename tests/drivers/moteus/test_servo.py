@@ -13,7 +13,6 @@ from pydantic import TypeAdapter, ValidationError
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.frames import FLOAT, INT8, INT16, INT32, answers, filled, read, registers, write
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Status, UnsafeCommand
-from sim_backend.wire.can_families import moteus as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.moteus.command import POSITION
 from sim_backend.wire.moteus.device import MoteusDevice
@@ -193,8 +192,3 @@ def test_a_controller_with_a_high_id_receives_extended_frames(make_moteus: Make)
     servo = rig.open(id=100, source=7)
     servo.arm(LIMITS)
     assert rig.device.mode == POSITION
-
-
-def test_serving_names_what_is_not_known() -> None:
-    with pytest.raises(ValueError, match="'n1'"):
-        serve("nowhere", "n1", interface="virtual")

@@ -9,7 +9,6 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -123,27 +122,6 @@ def test_the_exit_status_is_by_the_parameters_that_are_required(hil: Hil, make_r
     assert "±" in stiffness
     assert "trusted" not in stiffness
     assert damping.endswith("(not identifiable)")
-
-
-def test_the_same_seed_gives_the_same_samples_and_another_does_not(hil: Hil) -> None:
-    digests = []
-    for name, seed in (("a.h5", 1), ("b.h5", 1), ("c.h5", 2)):
-        record(hil, "--duration", "0.3", "--fade", "0.1", "--seed", seed, "-o", name)
-        with h5py.File(name) as file:
-            samples = {channel: file["samples"][channel][()].tobytes() for channel in file["samples"]}
-            digests.append((file.attrs["sha256"], samples))
-    assert digests[0] == digests[1]
-    assert digests[0][0] != digests[2][0]
-
-
-def test_the_numbers_of_identify_do_not_depend_on_the_workers(hil: Hil, make_recording: Maker) -> None:
-    path, words = make_recording(noise=2e-4, samples=500), ("--model", "linear", "--trials", 5, "--json")
-    found = []
-    for workers in (1, 3):
-        table = hil("identify", path, *words, "--seed", 3, "--workers", workers).json
-        table.pop("seconds")
-        found.append(table)
-    assert found[0] == found[1]
 
 
 @pytest.mark.study
@@ -309,15 +287,6 @@ def test_inspect_says_what_a_recording_holds(hil: Hil) -> None:
     assert "usable" in hil("inspect", "a.h5").out
 
 
-def test_an_unfinished_recording_is_recovered(hil: Hil, tmp_path: Path) -> None:
-    unfinished(tmp_path / "a.h5")
-    ended = hil("recover", "a.h5.part")
-    assert ended.status == 0
-    assert "a.h5: 800 samples recovered" in ended.out
-    assert (tmp_path / "a.h5.part").exists()
-    assert hil("recover", "a.h5.part").status == 2
-
-
 def test_an_unfinished_recording_in_a_folder_that_is_read_only_is_recovered_elsewhere(
     hil: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -345,40 +314,6 @@ def unfinished(path: Path) -> Path:
 
 def no_trace(ended: Ended) -> bool:
     return "Traceback" not in ended.err and len(ended.err.strip().splitlines()) <= 3
-
-
-@pytest.mark.parametrize("command", ["identify", "inspect"])
-@pytest.mark.parametrize(
-    ("content", "said"), [(None, "No such file"), (b"time,torque\n", "not HDF5"), (b"", "not HDF5")]
-)
-def test_what_is_no_recording_is_wrong_use(
-    hil: Hil, tmp_path: Path, command: str, content: bytes | None, said: str
-) -> None:
-    if content is not None:
-        (tmp_path / "a.h5").write_bytes(content)
-    ended = hil(command, "a.h5")
-    assert ended.status == 2
-    assert said in ended.err
-    assert no_trace(ended)
-
-
-def test_another_schema_version_is_wrong_use(hil: Hil, make_recording: Maker) -> None:
-    path = make_recording()
-    with h5py.File(path, "r+") as file:
-        file.attrs["schema"] = "hil-recording/9"
-    ended = hil("identify", path)
-    assert ended.status == 2
-    assert "hil-recording/9" in ended.err
-
-
-def test_channels_of_unequal_length_are_wrong_use(hil: Hil, make_recording: Maker) -> None:
-    path = make_recording()
-    with h5py.File(path, "r+") as file:
-        del file["samples"]["torque"]
-        file["samples"]["torque"] = np.zeros(7)
-    ended = hil("identify", path)
-    assert ended.status == 2
-    assert "unequal length" in ended.err
 
 
 def test_an_unfinished_recording_is_identified_and_said_to_be_one(hil: Hil, tmp_path: Path) -> None:
@@ -438,8 +373,6 @@ def test_an_unusable_recording_is_reported_in_the_json_too(
 
 WRONG_WORDS = [
     (("record", "--backend", "simm"), "did you mean 'sim'"),
-    (("record", "--backend", "sim", "--profile", "chrip"), "unknown profile"),
-    (("record", "--backend", "sim", "--mode", "speed"), "'speed' is not one of 'torque', 'position'"),
     (("record", "--backend", "sim", "--amplitude", "1"), "beyond the stand's limit of 0.03 N m"),
     (("record", "--backend", "sim", "--mode", "position", "--amplitude", "9"), "limit of 1 rad"),
     (("record", "--backend", "sim", "--amplitude", "nan"), "--amplitude 'nan' is not a number"),
@@ -456,9 +389,7 @@ WRONG_WORDS = [
     (("identify", "a.h5", "--bounds", "Kc=5"), "NAME=LOW:HIGH"),
     (("identify", "a.h5", "--bounds", "Kx=0:1"), "no such parameter; it has Kc, Bc"),
     (("identify", "a.h5", "--selection", "biggest"), "selection"),
-    (("identify", "a.h5", "--trials", "0"), "--trials"),
     (("identify", "a.h5", "--population", "3"), "--population: population of 3"),
-    (("identify",), "Missing argument"),
     (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q"), "cannot be read"),
     (("import", "a.csv", "-o", "b.h5", "--time", "t", "--torque", "q", "--dtheta", "p"), "cannot be read"),
     (("recover", "a.h5"), "does not end in .part"),
@@ -471,25 +402,6 @@ def test_wrong_words_end_in_a_sentence_and_status_two(hil: Hil, make_recording: 
     for words, said in WRONG_WORDS:
         ended = hil(*words)
         assert (ended.status, said in ended.err, "Traceback" in ended.err, ended.out) == (2, True, False, ""), words
-
-
-def test_an_unknown_unit_is_wrong_use(hil: Hil, tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("t,q,p\n0,1,2\n")
-    words = ("--time", "t", "--torque", "q", "--dtheta", "p", "--torque-unit", "mN*M")
-    ended = hil("import", "a.csv", "-o", "b.h5", *words)
-    assert ended.status == 2
-    assert "did you mean 'mN*m'" in ended.err
-
-
-def test_an_output_that_exists_is_overwritten_only_with_force(hil: Hil, tmp_path: Path) -> None:
-    (tmp_path / "a.h5").write_text("my own data")
-    ended = record(hil, *SHORT, "-o", "a.h5")
-    assert ended.status == 2
-    assert "--force" in ended.err
-    assert (tmp_path / "a.h5").read_text() == "my own data"
-    assert record(hil, *SHORT, "-o", "a.h5", "--force").status == 0
-    with Recording(tmp_path / "a.h5") as recording:
-        assert len(recording) == 501
 
 
 def test_a_read_only_target_is_wrong_use_and_leaves_nothing(capfd: pytest.CaptureFixture[str]) -> None:
@@ -521,20 +433,6 @@ def test_a_value_is_within_the_given_bounds_or_refused(hil: Hil, make_recording:
     assert bounded["parameters"]["skew"]["value"] == 1e-3
     assert bounded["parameters"]["skew"]["at_bound"] == "low"
     assert ("at-bound", "skew") in {(one["code"], one["parameter"]) for one in bounded["warnings"]}
-
-
-def test_a_limit_that_is_passed_ends_in_status_four_with_the_data_kept(hil: Hil, tmp_path: Path) -> None:
-    (tmp_path / "stand.toml").write_text(
-        '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
-        "[limits]\ntorque = 0.03\ndeflection = 0.1\nvelocity = 100.0\n"
-    )
-    ended = hil("record", "--stand", "stand.toml", "-o", "a.h5", "--amplitude", 0.006)
-    assert ended.status == 4
-    assert "the deflection reached" in ended.err
-    with Recording(tmp_path / "a.h5") as recording:
-        assert not recording.complete
-        assert len(recording) > 100
-    assert "unfinished" in hil("identify", "a.h5", "--model", "linear", "--trials", 1).err
 
 
 def test_a_traceback_is_shown_only_on_request(hil: Hil) -> None:

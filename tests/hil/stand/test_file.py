@@ -49,44 +49,6 @@ def test_the_simulator_has_the_motor_of_the_stand_unless_it_has_its_own() -> Non
     assert (truth["gear_ratio"], truth["motor_inertia"]) == (6.0, 9e-7)
 
 
-def test_every_error_of_a_file_is_reported_at_once_with_its_key(tmp_path: Path) -> None:
-    path = tmp_path / "stand.toml"
-    path.write_text(
-        """
-        [stand]
-        gear_ratio = -4.0
-        torque_source = "elbow"
-        colour = "red"
-        [limits]
-        torque = "much"
-        deflection = nan
-        [sim.coupling]
-        stiffness = -1.0
-        sitffness = 2.0
-        [sim.sensors]
-        motor_counts = 2.5
-        [valve]
-        """
-    )
-    with pytest.raises(WrongUse) as refusal:
-        load(path)
-    message = str(refusal.value)
-    for key in (
-        "stand.gear_ratio",
-        "stand.torque_source",
-        "stand.colour: no such key",
-        "limits.torque",
-        "limits.deflection",
-        "limits.velocity: must be given",
-        "sim.coupling.stiffness",
-        "sim.coupling.sitffness: no such key",
-        "sim.sensors.motor_counts",
-        "valve: no such key",
-    ):
-        assert key in message
-    assert "10 error(s)" in message
-
-
 def test_a_value_may_carry_its_unit() -> None:
     limits = 'torque = "30 mN*m"\ndeflection = "60 deg"\nvelocity = "100 rpm"\ntemperature = "80 degC"\n'
     stand = parse(f'[stand]\nmotor_inertia = "2 g*cm^2"\nzero = "90 deg"\n[limits]\n{limits}')
@@ -97,7 +59,7 @@ def test_a_value_may_carry_its_unit() -> None:
     assert (found.deflection, found.velocity) == pytest.approx((math.pi / 3.0, math.pi * 10.0 / 3.0))
 
 
-def test_every_error_is_a_sentence_of_our_own() -> None:
+def test_every_error_is_said_at_once_with_its_key_in_a_sentence_of_our_own() -> None:
     text = """
         [stand]
         gear_ratio = "four"
@@ -105,6 +67,7 @@ def test_every_error_is_a_sentence_of_our_own() -> None:
         torque_stays_on_if_host_dies = "perhaps"
         torque_source = "elbow"
         motor_inertia = "2 g"
+        colour = "red"
         [limits]
         torque = -1
         deflection = inf
@@ -113,6 +76,7 @@ def test_every_error_is_a_sentence_of_our_own() -> None:
         coupling = 3
         [sim.sensors]
         motor_counts = 2.5
+        [valve]
     """
     with pytest.raises(WrongUse) as refusal:
         parse(text)
@@ -127,6 +91,9 @@ def test_every_error_is_a_sentence_of_our_own() -> None:
         "limits.velocity = [1]: must be a number",
         "sim.coupling = 3: must be a table",
         "sim.sensors.motor_counts = 2.5: must be a whole number",
+        "stand.colour: no such key",
+        "valve: no such key",
+        "12 error(s)",
     ):
         assert said in str(refusal.value)
     assert "Input should" not in str(refusal.value)
