@@ -128,8 +128,7 @@ def test_what_must_end_a_run_does_within_its_time(
     assert tick / RATE <= within
 
 
-@pytest.mark.parametrize("rate", [100.0, 500.0])
-@pytest.mark.parametrize("frequency", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize(("frequency", "rate"), [(0.0, 500.0), (2.0, 100.0), (7.0, 500.0)])
 @pytest.mark.parametrize(("size", "noise"), [(1.01, 0.0), (1.01, 2e-3), (1.005, 1e-3), (1.019, 3e-3)])
 def test_what_lies_over_a_limit_by_more_than_its_noise_is_named_at_the_end(
     size: float, noise: float, frequency: float, rate: float
@@ -139,8 +138,7 @@ def test_what_lies_over_a_limit_by_more_than_its_noise_is_named_at_the_end(
     assert re.fullmatch(words, said)
 
 
-@pytest.mark.parametrize("rate", [100.0, 500.0])
-@pytest.mark.parametrize("frequency", [0.0, 2.0, 7.0])
+@pytest.mark.parametrize(("frequency", "rate"), [(0.0, 500.0), (2.0, 100.0), (7.0, 500.0)])
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2, 3e-2])
 def test_noise_at_a_limit_ends_no_run_and_is_not_named(noise: float, frequency: float, rate: float) -> None:
     assert said_at_the_end(1.0, noise, frequency, rate) == []
