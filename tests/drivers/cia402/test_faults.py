@@ -23,7 +23,6 @@ Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 PUSH = Command(Quantity.TORQUE, 0.01)
 MODELS = ["epos4", "epos2", "generic"]
-POSITION = (0x6064, 0)
 
 
 def armed(rig: Any, **changes: Any) -> Any:
@@ -112,14 +111,6 @@ def test_an_sdo_reply_without_an_end_is_given_up_and_leaves_no_torque(
         servo.disarm()
     assert not rig.motor.enabled
     assert rig.clock.now() - begun < 1.0
-
-
-def test_a_drive_that_is_refused_when_it_is_opened_is_left_without_torque(make_cia402: Make) -> None:
-    rig = make_cia402()
-    armed(rig, watchdog=2.0)
-    with pytest.raises(DriverError, match="resolution"):
-        rig.open(resolution=500)
-    assert not rig.device.motor.enabled
 
 
 def test_a_search_names_every_node_and_touches_nothing(make_cia402: Make) -> None:

@@ -87,18 +87,6 @@ def test_a_recording_goes_out_as_csv_and_comes_back(hil: Hil, tmp_path: Path, ma
         np.testing.assert_array_equal(first.channel("torque"), second.channel("torque"))
 
 
-def test_an_export_to_an_unknown_format_or_of_no_recording_is_refused(
-    hil: Hil, tmp_path: Path, make_recording: Maker
-) -> None:
-    make_recording("a.h5", samples=200)
-    (tmp_path / "b.csv").write_text(GOOD)
-    assert hil("export", "a.h5", "-o", "a.xlsx")[0] == 2
-    status, _, err = hil("export", "b.csv", "-o", "a.csv")
-    assert status == 2
-    assert "is not HDF5" in err
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.h5", "b.csv"]
-
-
 REAL = (
     "--time",
     "TIME",

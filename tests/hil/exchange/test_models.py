@@ -125,12 +125,6 @@ def test_json_holds_every_parameter(tmp_path: Path) -> None:
     assert table["parameters"]["Fc"] == {"value": FC, "unit": "N*m"}
 
 
-@pytest.mark.parametrize("write", [models.mujoco, models.urdf, models.sdf])
-def test_names_of_files_end_no_comment(write: Any) -> None:
-    assert "a- -b * / <x>.h5" in write(COUPLING)
-    ET.fromstring(write(COUPLING))  # noqa: S314 - our own text
-
-
 def test_terms_that_a_joint_of_a_simulator_does_not_have_are_warned_of() -> None:
     assert COUPLING.left_out() == []
     found = of_json(result(model="linear+offset+cubic+backlash"), "a.json").left_out()

@@ -237,19 +237,6 @@ def test_the_command_prints_each_recording_what_they_share_and_a_verdict(hil: Hi
     assert re.search(r'<p class="answer">Bc = \S+ ± \S+ mN m s/rad \(3 recordings pooled\)</p>', page)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [(("a.h5",), "at least two"), (("a.h5", "none.h5"), "cannot be opened"), ((), "Missing argument")],
-)
-def test_what_cannot_be_compared_is_wrong_use(
-    hil: Hil, make_recording: Maker, words: tuple[str, ...], said: str
-) -> None:
-    make_recording("a.h5", samples=100)
-    status, out, err = hil("compare", *words)
-    assert (status, out) == (2, "")
-    assert said in err
-
-
 def test_a_comparison_nothing_can_be_said_of_ends_with_status_1(hil: Hil, make_recording: Maker) -> None:
     def still(channels: dict[str, Any]) -> None:
         channels["dtheta"][:] = 0.1
