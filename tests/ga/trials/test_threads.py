@@ -64,6 +64,8 @@ def test_every_nonlinear_model_has_the_same_result_from_any_number_of_threads(na
         assert np.array_equal(genes(asked, workers), alone)
 
 
-@pytest.mark.parametrize("name", ["linear+offset+backlash", "linear+offset+dahl+skew"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("linear+offset+backlash", marks=pytest.mark.study), "linear+offset+dahl+skew"]
+)
 def test_a_small_recording_has_the_same_result_from_any_number_of_threads(name: str) -> None:
     assert np.array_equal(genes(problem(name, 1001), 4), genes(problem(name, 1001), 1))
