@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from drivers.clock import MonotonicClock, VirtualClock
-from drivers.servo import Command, DeviceFault, DriverError, LinkLost, NoReply, Quantity, Sample, Status
+from drivers.servo import Command, DeviceFault, DriverError, NoReply, Quantity, Sample, Status
 from sim_backend.drive import FaultCode
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo
@@ -172,15 +172,6 @@ def test_too_fast_or_too_hot_turns_the_torque_off_and_latches(
     assert servo.true_state().motor_torque == 0.0
     servo.disarm()
     with pytest.raises(DeviceFault):
-        servo.exchange(Command.rest())
-
-
-def test_a_closed_servo_is_a_lost_link(limits: Limits) -> None:
-    servo = opened(SimParameters())
-    servo.close()
-    with pytest.raises(LinkLost):
-        servo.arm(limits)
-    with pytest.raises(LinkLost):
         servo.exchange(Command.rest())
 
 
