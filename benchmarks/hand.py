@@ -168,7 +168,8 @@ def emulated_hand(folder: Path, workers: int) -> list[str]:
     text = text.replace("duration = 20.0", "duration = 20.0\nrate = 200\nband = [0.1, 10.0]")
     text = text.replace("gear_ratio = 4.0", "motor_inertia = 3.2e-6\nmotor_damping = 1.6e-6")
     text = text.replace("velocity = 100.0", "velocity = 60.0\ntemperature = 65.0")
-    text = text.replace("[sim.fixture]", f'[dynamixel]\nport = "{link}"\nmodel = "xl330-m288"\nbaudrate = 1000000\n[sim.fixture]')
+    table = f'[dynamixel]\nport = "{link}"\nmodel = "xl330-m288"\nbaudrate = 1000000\n'
+    text = text.replace("[sim.fixture]", f"{table}[sim.fixture]")
     for number, name in enumerate(truth, 1):
         text = text.replace(f'name = "{name}"\n', f'name = "{name}"\ndynamixel.id = {number}\n')
     path.write_text(text)
