@@ -25,7 +25,7 @@ class Cut(PacketBus):
     began = 0.0
 
     def receive(self, data: bytes, now: float, baudrate: int | None = None) -> list[Reply]:
-        is_on = self.cut_by >= 0 and self.devices[self.cut_by].torque_on
+        is_on = self.cut_by >= 0 and self.devices[self.cut_by].motor.enabled
         self.began = self.began or now * is_on
         self.unplugged = is_on and now > self.began + 0.5
         return [] if self.unplugged else super().receive(data, now, baudrate)
@@ -68,7 +68,7 @@ def test_a_cut_bus_ends_the_hand_with_its_joint_and_the_same_command_goes_on_whe
     assert "middle_chirp_1 (servo 3) failed: servo 3 on ttyHAND is a xl330-m288 (model number 1200), not" in ended.err
     assert ended.err.count(" samples, ") == 1, ended.err
     assert Path("hand/thumb_chirp_1.h5").stat().st_mtime_ns == kept
-    assert not any(servo.torque_on for servo in bus.devices)
+    assert not any(servo.motor.enabled for servo in bus.devices)
 
 
 WRONG = {
@@ -93,4 +93,4 @@ def test_a_hand_is_not_driven_on_a_bus_that_is_not_as_its_file_says(text: str, h
     for said in WRONG[text]:
         assert said in ended.err
     assert recorded() == set()
-    assert not any(servo.torque_on for servo in bus.devices[:2])
+    assert not any(servo.motor.enabled for servo in bus.devices[:2])

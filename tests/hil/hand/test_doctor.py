@@ -68,7 +68,7 @@ def test_each_joint_is_checked_although_one_of_them_is_wrong(hil: Hil, bus: Pack
     assert "2 of 3 joints passed; wrong: index" in ended.out
     assert "1 of 3 joints; about " in ended.err
     assert ended.status == 3
-    assert not any(device.torque_on for device in bus.devices)
+    assert not any(device.motor.enabled for device in bus.devices)
 
 
 def test_a_servo_that_does_not_answer_is_named_at_its_joint_and_searched_once(
@@ -91,7 +91,7 @@ def test_a_servo_that_does_not_answer_is_named_at_its_joint_and_searched_once(
     assert "no servo 7 answers on ttyHAND at 1000000 baud" in said["index"]
     assert "But a xc330-t288 answers with id 2" in said["middle"]
     assert searched == ["dynamixel"]
-    assert not any(device.torque_on for device in bus.devices)
+    assert not any(device.motor.enabled for device in bus.devices)
 
 
 def test_a_servo_that_is_on_and_not_in_the_file_is_named_with_every_joint(hil: Hil, bus: PacketBus) -> None:
@@ -103,7 +103,7 @@ def test_a_servo_that_is_on_and_not_in_the_file_is_named_with_every_joint(hil: H
     assert ended.status == 3
     assert ended.out.count("drive 3 on the same bus (xl330-m288) may hold torque: its Torque Enable(64) is 1") == 1
     assert "as with thumb" in ended.out
-    assert [device.torque_on for device in bus.devices] == [False, False, True]  # whoever switched it on decides
+    assert [device.motor.enabled for device in bus.devices] == [False, False, True]  # whoever switched it on decides
 
 
 def test_commissioning_goes_from_joint_to_joint_says_what_is_left_and_ends_where_a_person_declines(
@@ -128,4 +128,4 @@ def test_commissioning_goes_from_joint_to_joint_says_what_is_left_and_ends_where
     declined = hil("doctor", "hand.toml", "--commission")
     assert (declined.status, declined.out, "nothing was driven" in declined.err) == (2, "", True)
     assert tried == ["thumb", "index"]
-    assert not any(device.torque_on for device in bus.devices)
+    assert not any(device.motor.enabled for device in bus.devices)
