@@ -20,6 +20,7 @@ WINDOW = 5.0
 """The time that the traces show, s."""
 
 _LOST = np.uint64(int(Status.NO_REPLY | Status.BAD_REPLY))
+_MISSED = np.uint64(int(Status.MISSED))  # the drive was not asked: such a tick is late, and no reply of it is lost
 _RECENT = 500  # intervals from which rate and jitter are taken
 _FEWEST = 100  # rows for an estimate
 _DISTINCT = 1e-8  # reciprocal condition from which the three columns are distinct
@@ -92,7 +93,8 @@ class State:
         new = self._rows[before : self.count]
         if not len(new):
             return
-        self.lost += int(np.count_nonzero(new["status"] & _LOST))
+        lost, missed = new["status"] & _LOST, new["status"] & _MISSED
+        self.lost += int(np.count_nonzero((lost != 0) & (missed == 0)))
         # from the row before on, so that the rate has its difference
         part = self._rows[max(0, before - 1) : self.count]
         rate = np.array(part["dtheta_dot"])

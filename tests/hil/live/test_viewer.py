@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.servo import Status
 from hil.child import command
 from hil.live.screen import axis, drawn, line
 from hil.live.state import State
@@ -40,7 +41,8 @@ def rows(written: int, rate: float = 250.0) -> np.ndarray[tuple[int], np.dtype[n
     done["dtheta_dot"] = 1.6 * np.cos(8.0 * time)
     done["torque"] = KC * done["dtheta"] + BC * done["dtheta_dot"] + 1e-3
     done["temperature"] = 40.0
-    done["status"][3:5] = 1
+    done["status"][3:5] = Status.NO_REPLY
+    done["status"][6:9] = Status.MISSED | Status.LATE | Status.NO_REPLY  # which the drive was not asked for
     return table
 
 
