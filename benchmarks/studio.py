@@ -308,8 +308,8 @@ def stops(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, s
                 page.evaluate("one => { window.press = {}; return Link.ask('/api/start', one); }", wanted)
                 page.locator("#left", has_text=re.compile("^[12]")).wait_for(timeout=30_000)
                 press(page, len(took))
-                pressed = page.wait_for_function("press.answered && press", timeout=10_000).json_value()
-            except (TimeoutError, Error):  # a busy computer was late and the run ended by itself, or STOP has no answer
+                pressed = answer(page)
+            except (TimeoutError, Error):  # a busy computer was late and the run ended by itself
                 pressed = page.evaluate("press")
             page.locator("body[data-moving=no]").wait_for(state="attached")
             since = pressed.get("at", 1e3 * time.time()) / 1e3 - time.time() + time.monotonic()
@@ -340,6 +340,16 @@ addEventListener("DOMContentLoaded", () => new MutationObserver(() => {
   if (press.at && !waits) press.answered = press.answered || performance.timeOrigin + performance.now();
 }).observe(document.getElementById("state"), { childList: true, characterData: true, subtree: true }));
 """
+
+
+def answer(page: Page) -> dict[str, float]:
+    """Return the times of a press and of its answer, without this after 10 s. The page's policy lets no text of
+    `wait_for_function` run.
+    """
+    end = time.monotonic() + 10.0
+    while "answered" not in (found := page.evaluate("press")) and time.monotonic() < end:
+        time.sleep(0.02)
+    return dict(found)
 
 
 def press(page: Page, number: int) -> None:
