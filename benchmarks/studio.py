@@ -30,7 +30,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -303,14 +303,13 @@ def stops(folder: Path, browser: Browser, options: Any) -> Iterator[tuple[str, s
         page.locator("body[data-moving=no]").wait_for(state="attached")
         while len(took) < options.stops:
             tried += 1
-            pressed = {}
-            try:
+            if page.is_visible("#read"):  # the alarm of a run that broke off would hide every later answer
+                page.click("#read")
+            with suppress(TimeoutError, Error):  # a busy computer was late and the run ended by itself
                 page.evaluate("one => { window.press = {}; return Link.ask('/api/start', one); }", wanted)
                 page.locator("#left", has_text=re.compile("^[12]")).wait_for(timeout=30_000)
                 press(page, len(took))
-                pressed = answer(page)
-            except (TimeoutError, Error):  # a busy computer was late and the run ended by itself
-                pressed = page.evaluate("press")
+            pressed = answer(page)
             page.locator("body[data-moving=no]").wait_for(state="attached")
             since = pressed.get("at", 1e3 * time.time()) / 1e3 - time.time() + time.monotonic()
             ms = 1e3 * (switched_off(log, since) - since)
