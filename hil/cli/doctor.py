@@ -191,11 +191,13 @@ def _print_joint(name: str, checks: CheckList, report: Report | None, shown: dic
     """Print one line for a joint, and below it what is wrong. shown: what was printed before, with its joint, to print
     nothing twice.
     """
+    from hil.doctor.checks import called
+
     info = checks.info
-    words = [] if info is None else [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}"]
+    words = [] if info is None else [called(info)]
     if report is not None:
         words.append(f"commissioned until {report.outcome.until}" if report.good else report.verdict)
-    out(f"{checks.verdict:11} {name}: {', '.join(word for word in words if word) or 'it was not reached'}")
+    out(f"{checks.verdict:11} {name}: {', '.join(words) or 'it was not reached'}")
     for check in checks.checks:
         if check.verdict in {"warning", "error"}:
             first = shown.setdefault((check.name, check.message), name)

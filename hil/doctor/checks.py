@@ -95,3 +95,9 @@ class CheckList:
         if sentence not in [check.message for check in self.checks]:
             self.failed("torque off", sentence)
             self.on_alarm(sentence)
+
+
+def called(info: ServoInfo) -> str:
+    """Return kind and model of a drive, with serial number and firmware if it tells them."""
+    words = [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}" if info.firmware else ""]
+    return ", ".join(word for word in words if word)

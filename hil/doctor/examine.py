@@ -18,7 +18,7 @@ from drivers.torque_off import confirm_torque_off
 from hil.acquisition.commissioning import NOTHING_TURNS, Agree, require_agreement, require_release
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.real_time import PERMISSION, missing_permissions
-from hil.doctor.checks import CheckList, Verdict
+from hil.doctor.checks import CheckList, Verdict, called
 from hil.doctor.commission import Report, commission
 from hil.doctor.jog import Jog, run_jog
 from hil.doctor.keys import keys_of
@@ -226,11 +226,11 @@ def _check_jog(checks: CheckList, jog: Jog, info: ServoInfo) -> None:
 
 
 def _identity(info: ServoInfo) -> str:
-    words = [f"{info.backend} {info.model}", info.serial, f"firmware {info.firmware}" if info.firmware else ""]
+    words = [called(info)]
     if math.isfinite(info.position_lsb):
         words.append(f"one count is {info.position_lsb * 1e3:.3g} mrad")
     if math.isfinite(info.torque_lsb):
         words.append(f"or {info.torque_lsb * 1e3:.3g} mN m")
     if math.isfinite(info.torque_uncertainty):
         words.append(f"torque scale within {info.torque_uncertainty * 100:.0f} %")
-    return ", ".join(word for word in words if word)
+    return ", ".join(words)

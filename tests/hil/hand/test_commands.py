@@ -61,3 +61,9 @@ def test_a_calibration_is_written_into_its_joint_and_changes_nothing_else(hil: H
         assert after.joints[0].also_moves == {"stiff": 0.5}
     kept = hand.read_text()
     assert all(line in kept for line in SIMULATED_HAND.splitlines())  # comments too
+
+
+def test_the_doctor_names_no_firmware_of_a_drive_that_has_none(hil: Hil, hand: Path) -> None:
+    soft, stiff, passed = hil("doctor", hand).out.splitlines()
+    assert (soft.split(": ")[1], stiff.split(": ")[1]) == ("sim simulated joint, seed 0",) * 2
+    assert passed == "2 of 2 joints passed"
