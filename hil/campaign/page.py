@@ -25,7 +25,8 @@ _MEANINGS = {"Fc": "friction Fc", "Fd": "friction Fd", "mu": "friction mu", "gap
 def verdict(found: Results) -> str:
     """Return the campaign's result in one line: how many joints have Kc and Bc, and which of them need attention."""
     complete = sum(not line.missing for line in found.lines)
-    text = f"Kc and Bc of {complete} of {len(found.lines)} joints and settings"
+    what = "joints and settings" if _differ(found) else "joints"
+    text = f"Kc and Bc of {complete} of {len(found.lines)} {what}"
     odd = [line.name for line in found.lines if line.stands_out or False in line.repeats.values()]
     failed = f"; without a result: {len(found.failed)} recordings" if found.failed else ""
     return text + failed + (f"; look at {', '.join(odd)}" if odd else "")
@@ -77,13 +78,25 @@ def _unlike(found: Results, line: Line, name: str, outlier: Outlier) -> str:
 
 
 def table(found: Results) -> list[list[str]]:
-    """Return a table of the hand with one row for each joint and setting; the first row has the headings."""
+    """Return a table of the hand with one row for each joint and setting; the first row has the headings.
+
+    A setting that all joints share has no column.
+    """
     rows = [["joint", "setting", "recordings", *_headings(found), "state"]]
     for line in found.lines:
         setting = ", ".join(part for part in (line.pretension, line.profile) if part)
         used = sum(bool(one.values) for one in line.measured)
         rows.append([line.joint, setting, f"{used} of {len(line.measured)}", *_cells(found, line), _state(line)])
-    return rows
+    return rows if _differ(found) else [[joint, *beside] for joint, _, *beside in rows]
+
+
+def _differ(found: Results) -> bool:
+    """Return whether the lines differ in their settings, so that a line's joint alone does not name it."""
+    return len({(line.pretension, line.profile) for line in found.lines}) > 1
+
+
+def _names(found: Results) -> list[str]:
+    return [line.name if _differ(found) else line.joint for line in found.lines]
 
 
 def _headings(found: Results) -> list[str]:
@@ -191,7 +204,9 @@ def write_page(plan: Plan, found: Results, path: Path, command: str = "") -> Pat
     rows = table(found)
     units = [unit for _, unit in _printed(found).values()]
     text = f"Kc in {units[0]} and Bc in {units[1]}: "
-    text += "; ".join(f"{row[0]}, {row[1]}: Kc {row[3]}, Bc {row[4]}" for row in rows[1:])
+    at = rows[0].index("recordings") + 1
+    named = zip(_names(found), rows[1:], strict=True)
+    text += "; ".join(f"{name}: Kc {row[at]}, Bc {row[at + 1]}" for name, row in named)
     done = [one.run.path for line in found.lines for one in line.measured if one.values]
     page = Page(
         title=f"{plan.settings.name}: {verdict(found)}",
@@ -238,6 +253,6 @@ def chart(found: Results) -> Chart:
                 half = 0.5 * (value.ci95[1] - value.ci95[0]) * factor
                 points[name in line.stands_out].append((at, value.value * factor, half))
         lines = [with_intervals(points[False]), with_intervals(points[True], "outlier", "error")]
-        names = [line.name for line in found.lines]
-        panels.append(Panel("", f"{name} [{unit}]", lines if points[True] else lines[:1], names=names))
+        shown = lines if points[True] else lines[:1]
+        panels.append(Panel("", f"{name} [{unit}]", shown, names=_names(found)))
     return Chart(panels)

@@ -216,7 +216,7 @@ def test_a_joint_without_a_parameter_does_not_repeat_and_leaves_the_campaign_inc
     found = Results((odd, good), (), {})
     headings, *rows = table(found)
     assert [row[-1] for row in rows] == ["no Bc (two-stiffnesses)", "repeats"]
-    assert headings[3:5] == ["Kc, mN m/rad", "Bc, mN m s/rad"]
+    assert headings == ["joint", "recordings", "Kc, mN m/rad", "Bc, mN m s/rad", "state"]
     assert not found.complete
     [error] = diagnostics(found)
     assert (error.is_error, error.message) == (True, "a, chirp: no recording identifies Bc: a: two stiffnesses")
