@@ -96,7 +96,6 @@ def test_what_a_new_hand_lacks_is_an_error_with_its_line() -> None:
 def test_the_command_writes_a_hand_that_doctor_takes_without_an_edit(
     family: str, serve: Callable[..., Any], models: tuple[str, str], hil: Hil, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.packets.bus._ROLL_CALL", 0.1)
     for name in ("dynamixel", "feetech"):
         monkeypatch.setattr(f"drivers.{name}.identity.RATES", (1_000_000,))
     link = Path("ttyHAND").absolute()
