@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from ga.model.effects.friction import COULOMB
 from ga.model.terms import TERMS as TABLE
 from ga.model.trajectory import Motion
 from hil.experiment_design.response import Joint, Response
+from hil.identification.fitting.confidence import inverse
 from hil.signals.rate.savitzky_golay import kernel
 from hil.signals.rate.spectrum import excited_band
 from hil.signals.rate.windows import hides_in_rate, narrowed, windows
@@ -31,7 +33,6 @@ Spectrum = NDArray[np.complex128]
 
 _SMOOTHING = 0.05  # of the Coulomb term, as a part of the r.m.s. rate
 _REPEATS = 30  # of a reweighted fit, after which nothing moves
-_SINGULAR = 1e-12  # of the correlation matrix's eigenvalues, below which a direction cannot be estimated
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,11 +99,11 @@ def sensitivities(terms: tuple[str, ...], joint: Joint, motion: Response) -> Arr
     speed = _SMOOTHING * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
     model = replace(_model(terms), origin=float(motion.time[0]), slowest=0.0, smoothing=speed)
     still = np.zeros_like(motion.time)
-    seen = Motion(motion.time, motion.dtheta, motion.dtheta_dot, motion.acceleration, still)
+    moving = Motion(motion.time, motion.dtheta, motion.dtheta_dot, motion.acceleration, still)
     changing = Motion(motion.time, motion.dtheta_dot, motion.acceleration, still, still)
     absent = np.zeros(len(model.nonlinear))
     genes = np.array([joint.stiffness, joint.damping, *np.zeros(len(model.linear) - 2)])
-    columns = (model.columns(seen, absent), model.jacobian(seen, absent, genes, changing=changing))
+    columns = (model.columns(moving, absent), model.jacobian(moving, absent, genes, changing=changing))
     return np.concatenate(columns, axis=1)
 
 
@@ -110,46 +111,26 @@ def _model(terms: tuple[str, ...]) -> CouplingModel:
     return parse("+".join(terms))
 
 
-def _ageing(joint: Joint, motion: Response) -> Array:
-    """Return the derivative of the torque reading (n,) with respect to its delay, N m/s."""
-    return -(joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration)
-
-
-def covariance(columns: Array) -> Array:
-    """Return the inverse (p, p) of X'X for columns X (n, p). A parameter that the columns do not determine has infinite
-    variance.
-    """
-    norms = np.linalg.norm(columns, axis=0)
-    scale = np.where(norms > 0.0, norms, 1.0)
-    values, vectors = np.linalg.eigh((columns / scale).T @ (columns / scale))
-    lost = values <= _SINGULAR * values[-1]
-    inverse = (vectors[:, ~lost] / values[~lost]) @ vectors[:, ~lost].T
-    undetermined = (np.abs(vectors[:, lost]) > 1e-3).any(axis=1)
-    inverse[undetermined, undetermined] = np.inf
-    return np.asarray(inverse / np.outer(scale, scale))
-
-
 def predict(terms: tuple[str, ...], joint: Joint, motion: Response, readings: Readings) -> tuple[Prediction, ...]:
     """Return the predicted error of each parameter of the terms, for this motion and these sensors."""
     columns = sensitivities(terms, joint, motion)
-    window = _Window(motion, readings.angle_lsb)
-    inverse = covariance(columns)
-    estimable = np.isfinite(np.diag(inverse))
+    gram = columns.T @ columns
+    variance, estimable = inverse(gram)
+    rough = _rough(terms, joint, readings)
     bound, error, bias, inflation = (np.full(len(estimable), np.inf) for _ in range(4))
     if estimable.any():
         kept = columns[:, estimable]
-        bound[estimable] = np.sqrt(np.diag(_bound(kept, joint, readings, window.step)))
-        seen, residual = _seen(joint, motion, readings, window), _residual(len(kept), joint, readings, window)
-        fitted, misfit = _misfit(sensitivities(terms, joint, seen)[:, estimable], seen.torque, residual)
-        bias[estimable] = fitted - _rough(terms, joint, readings)[estimable]
+        filters = _filters(motion, readings.angle_lsb)
+        bound[estimable] = np.sqrt(np.diag(_bound(kept, joint, readings, filters.step)))
+        filtered, residual = _filtered(joint, motion, readings, filters), _residual(len(kept), joint, readings, filters)
+        fitted, misfit = _misfit(sensitivities(terms, joint, filtered)[:, estimable], filtered.torque, residual)
+        bias[estimable] = fitted - rough[estimable]
         error[estimable] = np.sqrt(np.diag(_absolute(kept, misfit, residual)))
-        inflation[estimable] = np.diag(inverse)[estimable] * np.sum(kept**2, axis=0)
-    rough = _rough(terms, joint, readings)
+        inflation[estimable] = np.diag(variance * gram)[estimable]
+    numbers = np.stack([rough, error, bound, bias, inflation], axis=1).tolist()
     return tuple(
-        Prediction(
-            parameter.name, parameter.unit, *(float(values[index]) for values in (rough, error, bound, bias, inflation))
-        )
-        for index, parameter in enumerate(_model(terms).parameters)
+        Prediction(parameter.name, parameter.unit, *row)
+        for parameter, row in zip(_model(terms).parameters, numbers, strict=True)
     )
 
 
@@ -161,63 +142,51 @@ def mistaken_friction(terms: tuple[str, ...], joint: Joint, motion: Response) ->
         return 0.0
     columns = sensitivities(terms, joint, motion)
     friction = sensitivities(("linear", COULOMB.name), joint, motion)[:, 2]
-    norms = np.linalg.norm(columns, axis=0)
-    norms[norms == 0.0] = 1.0
-    return float((np.linalg.lstsq(columns / norms, friction, rcond=None)[0] / norms)[1])
+    return float((inverse(columns.T @ columns)[0] @ columns.T @ friction)[1])
 
 
-class _Window:
-    """The filters with which `hil identify` would compute rate and acceleration of this motion: local polynomials, as
-    impulse responses.
+class _Filters(NamedTuple):
+    """The filters with which `hil identify` would compute rate and acceleration of a motion: local polynomials, as
+    impulse responses of odd length. step: time between two samples, s.
     """
 
-    def __init__(self, motion: Response, angle_lsb: float) -> None:
-        seen = np.round(motion.dtheta / angle_lsb) * angle_lsb
-        self.step = float(motion.time[1] - motion.time[0])
-        slope, curvature = windows(motion.time, excited_band(motion.time, seen)[1])
-        noise = angle_lsb / math.sqrt(12.0)
-        self.halves = narrowed(slope, self.step, noise, hides_in_rate(motion.dtheta_dot)), curvature
-        # the response at one sample to another's value: the slope's is odd, so the order matters
-        self.slope, self.curvature = (
-            kernel(half, order)[::-1] / self.step**order for order, half in zip((1, 2), self.halves, strict=True)
-        )
+    step: float
+    slope: Array
+    curvature: Array
 
-    def slope_of(self, values: Array) -> Array:
-        """Return the filtered derivative of values (n,), which begin and end at rest."""
-        return self._over(values, self.slope)
+    def gains(self, count: int) -> list[Spectrum]:
+        """Return the frequency responses of both filters, for a Fourier transform of `count` samples."""
+        return [
+            np.fft.rfft(np.roll(np.pad(weights, (0, count - len(weights))), -(len(weights) // 2)))
+            for weights in self[1:]
+        ]
 
-    def curvature_of(self, values: Array) -> Array:
-        """Return the filtered second derivative of values (n,), which begin and end at rest."""
-        return self._over(values, self.curvature)
 
-    def _over(self, values: Array, weights: Array) -> Array:
-        from scipy.signal import fftconvolve
+def _filters(motion: Response, angle_lsb: float) -> _Filters:
+    readings = np.round(motion.dtheta / angle_lsb) * angle_lsb
+    step = float(motion.time[1] - motion.time[0])
+    slope, curvature = windows(motion.time, excited_band(motion.time, readings)[1])
+    slope = narrowed(slope, step, angle_lsb / math.sqrt(12.0), hides_in_rate(motion.dtheta_dot))
+    # the response at one sample to another's value: the slope's is odd, so the order matters
+    return _Filters(step, kernel(slope, 1)[::-1] / step, kernel(curvature, 2)[::-1] / step**2)
 
-        return np.asarray(fftconvolve(values, weights, mode="same"))
 
-    def gains(self, count: int) -> tuple[Spectrum, Spectrum]:
-        """Return the frequency responses of the filters for derivative and second derivative, for a Fourier transform
-        of `count` samples.
-        """
-        gains = []
-        for half, weights in zip(self.halves, (self.slope, self.curvature), strict=True):
-            padded = np.zeros(count)
-            padded[: 2 * half + 1] = weights
-            gains.append(np.fft.rfft(np.roll(padded, -half)))
-        return gains[0], gains[1]
+def _noise(joint: Joint, readings: Readings, slope: Spectrum, curvature: Spectrum) -> Array:
+    """Return the power density (m,), N^2 m^2, of the noise of torque and angle. slope, curvature (m,): the frequency
+    responses with which the noise of the angle becomes that of rate and acceleration.
+    """
+    turned = joint.stiffness + joint.damping * slope
+    if readings.motor_side:
+        turned = turned + joint.friction * slope + joint.inertia * curvature
+    return np.asarray(readings.white**2 + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2)
 
 
 def _bound(columns: Array, joint: Joint, readings: Readings, step: float) -> Array:
     """Return the inverse (p, p) of the Fisher information. The noise of the torque is white; that of the angle grows
     with frequency.
     """
-    count = _padded(len(columns))
-    slope = 2j * np.pi * np.fft.rfftfreq(count, step)
-    turned = joint.stiffness + joint.damping * slope
-    if readings.motor_side:
-        turned = turned + joint.friction * slope + joint.inertia * slope**2
-    density = readings.white**2 + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2
-    return _inverse(_form(columns, 1.0 / density))
+    slope = np.asarray(2j * np.pi * np.fft.rfftfreq(_padded(len(columns)), step), np.complex128)
+    return inverse(_form(columns, 1.0 / _noise(joint, readings, slope, slope**2)))[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,16 +202,11 @@ class _Residual:
     signs: Array
 
 
-def _residual(count: int, joint: Joint, readings: Readings, window: _Window) -> _Residual:
+def _residual(count: int, joint: Joint, readings: Readings, filters: _Filters) -> _Residual:
     """Return the residuals of the correct model for a motion of `count` samples. The covariance of the signs of
     Gaussian residuals is 2/pi times the arc sine of the residuals' correlation.
     """
-    slope, curvature = window.gains(_padded(count))
-    turned = joint.stiffness + joint.damping * slope
-    if readings.motor_side:
-        turned = turned + joint.friction * slope + joint.inertia * curvature
-    density = np.full(len(slope), readings.white**2)
-    alike = np.fft.irfft(density + readings.angle_lsb**2 / 12.0 * np.abs(turned) ** 2)
+    alike = np.fft.irfft(_noise(joint, readings, *filters.gains(_padded(count))))
     variance = float(alike[0])
     signs = 2.0 / np.pi * np.fft.rfft(np.arcsin(np.clip(alike / variance, -1.0, 1.0))).real
     return _Residual(variance, _density_at_zero(variance, 0.0 if readings.motor_side else readings.torque_lsb), signs)
@@ -260,8 +224,8 @@ def _absolute(columns: Array, misfit: Array, residual: _Residual) -> Array:
     density = residual.at_zero * np.maximum(np.exp(-(misfit**2) / (2.0 * residual.variance)), 1e-12)
     below = ndtr(misfit / math.sqrt(residual.variance))
     undecided = np.sqrt(4.0 * below * (1.0 - below))
-    inverse = _inverse(2.0 * (columns.T * density) @ columns)
-    return np.asarray(inverse @ _form(columns * undecided[:, None], residual.signs) @ inverse)
+    bread, _ = inverse(2.0 * (columns.T * density) @ columns)
+    return np.asarray(bread @ _form(columns * undecided[:, None], residual.signs) @ bread)
 
 
 def _density_at_zero(variance: float, lsb: float) -> float:
@@ -274,18 +238,20 @@ def _density_at_zero(variance: float, lsb: float) -> float:
     return math.erf(lsb / (2.0 * math.sqrt(2.0) * gaussian)) / lsb if gaussian > 0.0 else 1.0 / lsb
 
 
-def _seen(joint: Joint, motion: Response, readings: Readings, window: _Window) -> Response:
+def _filtered(joint: Joint, motion: Response, readings: Readings, filters: _Filters) -> Response:
     """Return the motion that `hil identify` would compute from readings without noise: with the delay of the torque and
-    with filtered derivatives.
+    with filtered derivatives. The motion begins and ends at rest.
     """
-    rate = window.slope_of(motion.dtheta)
-    acceleration = window.curvature_of(motion.dtheta)
+    from scipy.signal import fftconvolve
+
+    rate, acceleration = (fftconvolve(motion.dtheta, weights, mode="same") for weights in filters[1:])
     if readings.motor_side:
-        aged = motion.drive - readings.skew * np.gradient(motion.drive, window.step)
-        torque = aged - joint.inertia * acceleration - joint.friction * rate
+        late = motion.drive - readings.skew * np.gradient(motion.drive, filters.step)
+        torque = late - joint.inertia * acceleration - joint.friction * rate
     else:
-        torque = motion.torque + readings.skew * _ageing(joint, motion)
-    return Response(motion.time, motion.dtheta, rate, acceleration, torque, motion.drive)
+        change = joint.stiffness * motion.dtheta_dot + joint.damping * motion.acceleration
+        torque = motion.torque - readings.skew * change
+    return replace(motion, dtheta_dot=rate, acceleration=acceleration, torque=torque)
 
 
 def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, Array]:
@@ -299,10 +265,10 @@ def _misfit(columns: Array, torque: Array, residual: _Residual) -> tuple[Array, 
     norms, sigma = np.linalg.norm(columns, axis=0), math.sqrt(residual.variance)
     scaled, weight = columns / norms, np.ones_like(torque)
     for _ in range(_REPEATS):
-        found = np.linalg.solve((scaled.T * weight) @ scaled, (scaled.T * weight) @ torque)
-        left = np.abs(torque - scaled @ found) + 1e-9 * sigma
-        weight = (2.0 * ndtr(left / sigma) - 1.0) / left * sigma
-    return found / norms, torque - scaled @ found
+        fitted = np.linalg.solve((scaled.T * weight) @ scaled, (scaled.T * weight) @ torque)
+        size = np.abs(torque - scaled @ fitted) + 1e-9 * sigma
+        weight = (2.0 * ndtr(size / sigma) - 1.0) / size * sigma
+    return fitted / norms, torque - scaled @ fitted
 
 
 def _rough(terms: tuple[str, ...], joint: Joint, readings: Readings) -> Array:
@@ -323,11 +289,3 @@ def _form(columns: Array, weight: Array) -> Array:
     twice = np.full(len(weight), 2.0)  # each frequency but the first and the last stands for its negative too
     twice[0] = twice[-1] = 1.0
     return np.asarray(((np.conj(spectra).T * (weight * twice)) @ spectra).real / count)
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse (p, p) of a matrix. The matrix is scaled first, so that the units do not affect the
-    accuracy.
-    """
-    scale = np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))

@@ -78,12 +78,12 @@ def covariance(blocks: Blocks, genes: Array) -> Covariance:
     from scipy.special import stdtrit  # Student's quantile; scipy.stats would cost half a second of start-up
 
     sums = _first_pass(blocks, genes)
-    gram, distinct = _inverse(sums.gram / sums.count)
+    gram, distinct = inverse(sums.gram / sums.count)
     quantile, inflation = np.full(len(genes), np.inf), np.full(len(genes), np.inf)
     if not distinct.any():
         return Covariance(np.zeros_like(gram), quantile, distinct, inflation)
     kernel, spectrum = _second_pass(blocks, genes, sums)
-    bread, near = _inverse(kernel)
+    bread, near = inverse(kernel)
     distinct &= near
     quantile[distinct] = stdtrit(np.maximum(1.0, spectrum.freedom(bread)[distinct]), UPPER)
     inflation[distinct] = (np.diag(gram) * np.diag(sums.gram) / sums.count)[distinct]
@@ -96,10 +96,10 @@ def distinct(blocks: Blocks) -> Mask:
     gram: Array | float = 0.0
     for columns, _ in blocks():
         gram = gram + columns.T @ columns
-    return _inverse(np.asarray(gram))[1]
+    return inverse(np.asarray(gram))[1]
 
 
-def _inverse(gram: Array) -> tuple[Array, Mask]:
+def inverse(gram: Array) -> tuple[Array, Mask]:
     """Return the inverse (p, p) of a Gram matrix, and which parameters (p,) can be distinguished from others.
 
     For dependent columns the pseudo-inverse is returned, which is correct for the other parameters.

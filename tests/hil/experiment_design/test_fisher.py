@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from drivers.servo import Quantity
 from ga.lad.exact import least_absolute_deviations
 from hil.acquisition import excitation
-from hil.experiment_design.fisher import Prediction, Readings, covariance, mistaken_friction, predict
+from hil.experiment_design.fisher import Prediction, Readings, mistaken_friction, predict
 from hil.experiment_design.response import Joint, Response, respond
 from hil.signals.rate.savitzky_golay import local_polynomial
 from hil.signals.rate.spectrum import excited_band
@@ -65,12 +65,6 @@ def test_a_skew_beside_an_inertia_is_not_told_and_neither_is_the_damping() -> No
     found = predicted(("linear", "skew", "inertia"), moved(), CELL)
     assert math.isfinite(found["Kc"].error)
     assert [found[name].error for name in ("Bc", "skew", "J")] == [math.inf] * 3
-
-
-def test_what_nothing_moves_is_not_told() -> None:
-    variance = np.diag(covariance(np.stack([np.ones(9), np.zeros(9)], axis=1)))
-    assert variance.tolist() == [pytest.approx(1.0 / 9.0), math.inf]
-    assert np.isinf(np.diag(covariance(np.zeros((9, 2))))).all()
 
 
 def test_dry_friction_is_told_from_damping_by_a_sweep_and_hardly_by_one_speed() -> None:
