@@ -186,19 +186,18 @@ class IdentificationResult:
 
         said = (f"{one.severity} [{one.code}]: {one.message}" for one in self.diagnostics)
         lines = map(in_python, identification_report.identification_lines(self.identification))
-        return "\n".join([str(self), *table_lines(self._rows()), *said, *lines])
+        return "\n".join([str(self), *table_lines(self._table), *said, *lines])
 
     def _repr_html_(self) -> str:
         """Return the answer and the table of the parameters for a notebook."""
-        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._rows())
+        rows = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in self._table)
         table = "".join(f"<tr>{row}</tr>" for row in rows)
         said = "".join(f"<p>{escape(f'{one.severity}: {one.message}')}</p>" for one in self.diagnostics)
         return f"<p><b>{escape(str(self))}</b></p><table>{table}</table>{said}"
 
-    def _rows(self) -> list[list[str]]:
-        from hil.report.html_page import table_rows
-
-        return table_rows(identification_report.estimates_table(self.identification))
+    @property
+    def _table(self) -> Sequence[Sequence[str]]:
+        return identification_report.estimates_section(self.identification).rows
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON object of `hil identify --json`."""

@@ -14,8 +14,7 @@ from hil.campaign.plan import Plan
 from hil.exchange.coupling import unrepresented
 from hil.hand.file import HandJoint
 from hil.hand.routing import Finger, JointMatrix, Motor, Value, as_json, fingers
-from hil.report.formatting import people_unit, rounded_with_value
-from hil.report.html_page import Section
+from hil.report.formatting import Section, people_unit, rounded_with_value
 from hil.signals.constants import NORMAL
 
 

@@ -14,8 +14,8 @@ from hil.diagnostics import Diagnostic
 from hil.printable import quoted
 from hil.recording.output import atomic_write
 from hil.report.chart import Chart, Panel, with_intervals
-from hil.report.formatting import people_unit, rounded_with_value
-from hil.report.html_page import Page, Picture, Section, write
+from hil.report.formatting import Section, people_unit, rounded_with_value
+from hil.report.html_page import Page, Picture, write
 from hil.report.provenance import provenance
 
 _CHANCE = 0.05

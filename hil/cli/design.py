@@ -9,7 +9,7 @@ import typer
 from drivers.servo import Quantity
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import detail, out, out_table, print_diagnostics, print_json
+from hil.cli.terminal import out, out_section, print_diagnostics, print_json
 
 if TYPE_CHECKING:
     from hil.api.planning import DesignResult
@@ -78,9 +78,7 @@ def design(
 
 def _show_work(found: DesignResult) -> None:
     """Print the tables below the answer, and the commands with which the excitations are recorded."""
-    from hil.report.design import design_lines, error_table, limit_table
+    from hil.report.design import sections
 
-    out_table(error_table(found.task, found.judged))
-    out_table(limit_table(found.task, found.judged))
-    for line in design_lines(found.task, found.judged, found.stand):
-        detail(line)
+    for section in sections(found.task, found.judged, found.stand):
+        out_section(section)

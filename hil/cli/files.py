@@ -10,7 +10,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, note, out, out_table, print_diagnostics, print_json
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, note, out, out_section, print_diagnostics, print_json
 from hil.errors import WrongUse
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def inspect(
     from hil.api.recordings import load
     from hil.recording.interval import between
     from hil.report.inspection import as_json as to_json
-    from hil.report.inspection import inspection_table
+    from hil.report.inspection import inspection_section
     from hil.report.pictures.files import check_pictures, save_picture
     from hil.signals.inspection import inspect as look
 
@@ -56,7 +56,7 @@ def inspect(
         out("usable" if seen.usable else "not usable")
     print_diagnostics(seen.diagnostics)
     if not as_json:
-        out_table(inspection_table(seen))
+        out_section(inspection_section(seen))
     if not seen.usable:
         raise typer.Exit(UNTRUSTWORTHY)
 

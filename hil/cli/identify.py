@@ -19,7 +19,7 @@ from hil.cli.terminal import (
     exit_interrupted,
     note,
     out,
-    out_table,
+    out_section,
     print_diagnostics,
     print_json,
     say,
@@ -187,21 +187,19 @@ def _show_answer(found: Identification) -> None:
 def _show_work(found: Identification, *, verbose: bool) -> None:
     """Print how the result was obtained: three lines, or with `verbose` tables and more lines."""
     from hil.report import identification as report
-    from hil.report.controller import controller_line, controller_table
+    from hil.report.controller import controller_section
 
     if not verbose:
         for line in report.summary_lines(found):
             detail(line)
         return
-    out_table(report.estimates_table(found))
+    out_section(report.estimates_section(found))
     if found.steps:
-        out_table(report.model_selection_table(found))
-    if table := controller_table(found, milli=report.milli(found)):
-        out_table(table)
-    detail(controller_line(found))
-    out_table(report.repeatability_table(found))
-    if table := report.bands_table(found):
-        out_table(table)
+        out_section(report.model_selection_section(found))
+    out_section(controller_section(found, milli=report.milli(found)))
+    out_section(report.repeatability_section(found))
+    if bands := report.bands_section(found):
+        out_section(bands)
     for line in report.identification_lines(found):
         detail(line)
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from hil.diagnostics import Diagnostic
+    from hil.report.formatting import Section
 
 DONE, UNTRUSTWORTHY, WRONG_USE, STAND_FAILED, LIMIT_REACHED = 0, 1, 2, 3, 4
 INTERNAL_ERROR, INTERRUPTED = 70, 130
@@ -105,27 +106,49 @@ def _written(text: str, stream: TextIO | None, *, is_drawn: bool = False) -> OSE
     return None
 
 
-def out_table(table: Table) -> None:
-    """Print a table below the answer to standard output."""
-    if is_quiet():
-        return
-    from rich.console import Console
-    from rich.segment import Segment, Segments
+def out_section(section: Section) -> None:
+    """Print a section below the answer to standard output."""
+    if section.rows and not is_quiet():
+        _out_table(section)
+    for line in section.lines:
+        detail(line)
 
-    from hil.report.html_page import table_rows
+
+def _out_table(section: Section) -> None:
+    """Print the table of a section; on a narrow terminal, where words would be broken, as records."""
+    from rich.console import Console
+    from rich.segment import Segments
 
     console = Console()
-    rows = table_rows(table)
-    widths = _widths(rows, console.width - 3 * len(rows[0]) - 1)
+    widths = _widths(section.rows, console.width - 3 * len(section.rows[0]) - 1)
     if not widths:
-        out("\n".join(_as_records(str(table.title or ""), rows)))
+        out("\n".join(_as_records(section.heading, section.rows)))
         return
-    for column, width in zip(table.columns, widths, strict=True):
-        column.width = width
     with console.capture() as drawn:
-        parts = [Segment(printable(text), style, control) for text, style, control in console.render(table)]
+        parts = [one._replace(text=printable(one.text)) for one in console.render(_drawn(section, widths))]
         console.print(Segments(parts), end="")
     out(drawn.get().rstrip("\n"), is_drawn=True)
+
+
+def _drawn(section: Section, widths: Sequence[int]) -> Table:
+    """Return a table without ruled lines, or in a frame if it has no headings; a column with a heading is aligned to
+    the right.
+    """
+    from rich.box import HEAVY_HEAD, SIMPLE
+    from rich.table import Table
+    from rich.text import Text
+
+    headings, *rows = section.rows
+    plain = any(headings)
+    # Text, not markup: "[red]" in a file's name is no colour
+    table = Table(
+        title=Text(section.heading), box=SIMPLE if plain else HEAVY_HEAD, pad_edge=not plain, show_header=plain
+    )
+    for heading, width in zip(headings, widths, strict=True):
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold", width=width)
+    for after, row in zip(reversed(range(len(rows))), rows, strict=True):
+        table.add_row(*map(Text, row), end_section=0 < after == section.apart)
+    return table
 
 
 def _widths(rows: Sequence[Sequence[str]], room: int) -> list[int]:

@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hil.identification.compare import Comparison, Measured, Repeated
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import named
 from hil.report.chart import Band, Chart, Panel, with_intervals
 from hil.report.formatting import (
+    Section,
     capitalised,
     diagnostics_json,
     json_number,
     people_unit,
-    plain_table,
     rounded,
     rounded_with_value,
     scale_json,
     scale_line,
 )
-from hil.report.html_page import Page, Picture, Section, write
+from hil.report.html_page import Page, Picture, write
 from hil.report.provenance import provenance
 from hil.signals.constants import COUPLING
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 SCHEMA = "hil-comparison/2"
 """The name and version of the JSON object. In version 1 the errors were in the list of warnings."""
@@ -86,13 +83,11 @@ def _scale(found: Comparison, unit: str) -> tuple[float, str]:
     return people_unit(unit, milli=not kc or min(kc) < 1.0)
 
 
-def comparison_table(found: Comparison) -> Table:
+def comparison_section(found: Comparison) -> Section:
     """Return a table with one row for each recording, and below these the pooled value and the variance components."""
-    table = plain_table(f"{found.model}, {_alone(found)}", _headings(found), _recording_rows(found))
-    table.add_section()
-    for row in _pooled_rows(found):
-        table.add_row(*row)
-    return table
+    pooled = _pooled_rows(found)
+    rows = [_headings(found), *_recording_rows(found), *pooled]
+    return Section(f"{found.model}, {_alone(found)}", rows, _notes(found), len(pooled))
 
 
 def _torque_scale(found: Comparison) -> TorqueScale:
@@ -127,7 +122,7 @@ def _pooled_rows(found: Comparison) -> list[list[str]]:
     return [[heading, "", *cells] for heading, *cells in zip(headings, *together, strict=True)]
 
 
-def notes(found: Comparison) -> list[str]:
+def _notes(found: Comparison) -> list[str]:
     """Return the lines below the table: the uncertainty of the torque's scale, which is common to all recordings."""
     line = scale_line(_torque_scale(found), ", the same in all recordings; only the pooled intervals include it")
     return [line] if line else []
@@ -138,7 +133,7 @@ def write_page(found: Comparison, path: Path, command: str = "", *, force: bool)
     WrongUse.
     """
     verdicts = [parameter.verdict for parameter in found.parameters]
-    rows = [_headings(found), *_recording_rows(found), *_pooled_rows(found)]
+    table = comparison_section(found)
     alt = f"Kc and Bc of {len(found.recordings)} recordings with their 95 % intervals. {' '.join(verdicts)}"
     paths = [one.path for one in found.recordings]
     page = Page(
@@ -146,7 +141,7 @@ def write_page(found: Comparison, path: Path, command: str = "", *, force: bool)
         subject=f"Comparison of {len(paths)} recordings, {found.model}",
         verdict=_pooled(found) or verdicts,
         diagnostics=found.diagnostics,
-        sections=[Section(capitalised(_alone(found)), rows, [*verdicts, *notes(found)])],
+        sections=[Section(capitalised(_alone(found)), table.rows, [*verdicts, *table.lines])],
         pictures=[Picture("comparison", "Kc and Bc of each recording", alt, lambda: chart(found))],
         provenance=provenance(paths, command),
         table=as_json(found),

@@ -14,13 +14,11 @@ import numpy as np
 
 from ga.model.coupling import CouplingModel
 from hil.errors import WrongUse
-from hil.report.formatting import people_unit, plain_table, rounded
+from hil.report.formatting import Section, people_unit, rounded
 from hil.report.identification import equation
 from hil.units import with_unit
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.identification.result import Identification
 
 PHASE_MARGIN = math.radians(60.0)
@@ -166,17 +164,6 @@ def controller_json(found: Identification) -> dict[str, Any] | None:
     }
 
 
-def controller_rows(found: Identification, *, milli: bool) -> list[tuple[str, str, str, str]]:
-    """Return a row for each number: meaning, value, 95 % interval and unit; [] if there are none."""
-    made, rows = controller(found), []
-    for one in made.quantities if made else ():
-        factor, unit = people_unit(one.unit, milli=milli)
-        low, high = (factor * end for end in one.ci95)
-        value, first, last, _ = rounded(0.05 * (high - low), factor * one.value, low, high)
-        rows.append((one.meaning, value, f"{first} to {last}", unit))
-    return rows
-
-
 def controller_line(found: Identification) -> str:
     """Return a line about the assumptions behind the numbers for a controller, or why there are no such numbers."""
     made = controller(found)
@@ -190,7 +177,12 @@ def controller_line(found: Identification) -> str:
     return "; ".join(filter(None, [known if made.inertia else missing, made.stiffness]))
 
 
-def controller_table(found: Identification, *, milli: bool) -> Table | None:
-    """Return the numbers for a controller as a table; None if there are none."""
-    rows = controller_rows(found, milli=milli)
-    return plain_table("for a controller", ("", "value", "95 % interval", ""), rows) if rows else None
+def controller_section(found: Identification, *, milli: bool) -> Section:
+    """Return the numbers for a controller, if there are any, and below them what they assume, or why there are none."""
+    made, rows = controller(found), [("", "value", "95 % interval", "")]
+    for one in made.quantities if made else ():
+        factor, unit = people_unit(one.unit, milli=milli)
+        low, high = (factor * end for end in one.ci95)
+        value, first, last, _ = rounded(0.05 * (high - low), factor * one.value, low, high)
+        rows.append((one.meaning, value, f"{first} to {last}", unit))
+    return Section("for a controller", rows if made else (), (controller_line(found),))

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hil.experiment_design.advice import command, described, of_profile
 from hil.experiment_design.assessment import LIMITED, UNITS, Assessment, Task
-from hil.report.formatting import json_number, people_unit, plain_table
+from hil.report.formatting import Section, json_number, people_unit
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.diagnostics import Diagnostic
     from hil.experiment_design.fisher import Prediction
 
@@ -31,14 +30,13 @@ def headline(judged: Mapping[str, Assessment]) -> str:
     return f"predicted standard errors of Kc, Bc: {'; '.join(errors)}"
 
 
-def error_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
+def _errors(task: Task, judged: Mapping[str, Assessment]) -> Section:
     """Return a table of the predicted standard errors: one row for each parameter, one column for each excitation."""
-    rows = []
+    rows = [("", *(f"{name}: {described(one.profile)}" for name, one in judged.items()), "")]
     for parameters in zip(*(one.parameters for one in judged.values()), strict=True):
         factor, unit = people_unit(parameters[0].unit, milli=task.limits[1] < 1.0)
         rows.append((parameters[0].name, *(_error(parameter, factor) for parameter in parameters), unit))
-    columns = (f"{name}: {described(one.profile)}" for name, one in judged.items())
-    return plain_table(task.model, ("", *columns, ""), rows)
+    return Section(task.model, rows)
 
 
 def _error(parameter: Prediction, factor: float) -> str:
@@ -48,27 +46,28 @@ def _error(parameter: Prediction, factor: float) -> str:
     return f"{parameter.error * factor:.3g}{share}"
 
 
-def limit_table(task: Task, judged: Mapping[str, Assessment]) -> Table:
+def _limits(task: Task, judged: Mapping[str, Assessment]) -> Section:
     """Return a table of the predicted peaks and their limits, with one column for each excitation."""
-    rows = []
+    rows = [("", *judged, "limit", "")]
     for index, name in enumerate(LIMITED):
         factor, unit = people_unit(UNITS[index].replace(" ", "*"), milli=task.limits[1] < 1.0)
         cells = [f"{factor * one.peaks[index]:.3g} ({one.shares[index]:.0%})" for one in judged.values()]
         rows.append((name, *cells, f"{factor * task.limits[index]:g}", unit))
-    return plain_table("predicted peaks, and their share of the limit", ("", *judged, "limit", ""), rows)
+    return Section("predicted peaks, and their share of the limit", rows)
 
 
-def design_lines(task: Task, judged: Mapping[str, Assessment], stand: str) -> list[str]:
-    """Return the lines below the tables, and the command that records each excitation.
+def sections(task: Task, judged: Mapping[str, Assessment], stand: str) -> list[Section]:
+    """Return the tables of errors and limits, and below them the command that records each excitation.
 
     stand: the options that name the stand, such as "--backend sim".
     """
-    return [
+    lines = [
         "The errors are those of hil identify (least absolute deviations), 1.25 times those of least squares in white "
         "noise, without the uncertainty of the torque's scale.\nFour times the duration halves them. Heating is not "
         "predicted.",
         *(f"{name}, {_limit(one)}:\n  {command(one, stand, task.rate)}" for name, one in judged.items()),
     ]
+    return [_errors(task, judged), replace(_limits(task, judged), lines=lines)]
 
 
 def _limit(one: Assessment) -> str:

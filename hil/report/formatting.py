@@ -4,19 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hil import units
 from hil.diagnostics import Diagnostic
 from hil.signals.constants import UNCERTAIN
 
-if TYPE_CHECKING:  # rich costs 50 ms
-    from rich.table import Table
-
+if TYPE_CHECKING:
     from hil.recording.channels import TorqueScale
 
 _PLAIN = (1e-3, 1e4)  # numbers between which no power is needed
 _PREFIXES = {-9: "n", -6: "u", -3: "m", 0: "", 3: "k", 6: "M"}
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of a result, the same for the terminal, a page and a notebook: a heading, a table and lines below it.
+
+    rows: of the table; the first row has the headings. apart: how many of the last rows stand apart from the others.
+    """
+
+    heading: str
+    rows: Sequence[Sequence[str]] = ()
+    lines: Sequence[str] = ()
+    apart: int = 0
 
 
 def people_unit(unit: str, *, milli: bool) -> tuple[float, str]:
@@ -116,17 +128,3 @@ def scale_json(scale: TorqueScale) -> dict[str, Any]:
     source.
     """
     return {"uncertainty": json_number(scale.uncertainty), "source": scale.source}
-
-
-def plain_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-    """Return a table without ruled lines; a column with a heading is aligned to the right."""
-    from rich.box import SIMPLE
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(title), box=SIMPLE, pad_edge=False)  # as it is: "[red]" in a file's name is no colour
-    for heading in headings:
-        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(cell if cell is None else Text(str(cell)) for cell in row))
-    return table

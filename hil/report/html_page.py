@@ -7,27 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hil.diagnostics import Diagnostic
 from hil.errors import WrongUse
 from hil.printable import printable
 from hil.recording.output import atomic_write
 from hil.report.chart import Chart, library
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-
-@dataclass(frozen=True, slots=True)
-class Section:
-    """A section of a page: a heading, a table and lines of text below it. rows: of the table; the first row has the
-    headings.
-    """
-
-    heading: str
-    rows: Sequence[Sequence[str]] = ()
-    lines: Sequence[str] = ()
+from hil.report.formatting import Section
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +82,6 @@ def write(page: Page, path: Path, *, force: bool) -> Path:
     with atomic_write(path, force=force) as temporary:
         temporary.write_text(printable(text), encoding="utf-8")
     return path
-
-
-def table_rows(table: Table) -> list[list[str]]:
-    """Return a table for the terminal as rows of texts; the first row has the headings."""
-    columns = [[str(column.header), *(str(cell) for cell in column.cells)] for column in table.columns]
-    return [list(row) for row in zip(*columns, strict=True)]
 
 
 def table_lines(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -12,21 +12,19 @@ import numpy as np
 from ga.model.coupling import CouplingModel
 from hil.recording.interval import named
 from hil.report.formatting import (
+    Section,
     engineering,
     people_unit,
-    plain_table,
     rounded,
     rounded_in_thousands,
     rounded_with_value,
     scale_line,
 )
-from hil.report.lack_of_fit import dynamic_stiffness_table
+from hil.report.lack_of_fit import dynamic_stiffness_section
 from hil.signals import constants as c
 from hil.units import with_unit
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from ga.model.separable import SeparableModel
     from hil.identification.result import Deflection, Estimate, Identification
 
@@ -101,9 +99,9 @@ def meaning(model: SeparableModel) -> str:
     return "; ".join(term.meaning for term in model.terms) if isinstance(model, CouplingModel) else model.name
 
 
-def estimates_table(found: Identification) -> Table:
+def estimates_section(found: Identification) -> Section:
     """Return a table of all parameters with their values and 95 % intervals."""
-    rows = []
+    rows = [("", "value", "95 % interval", "")]
     for estimate in found.estimates:
         value, _, interval, unit = printed(found, estimate)
         if estimate.depends_on is not None:
@@ -111,25 +109,24 @@ def estimates_table(found: Identification) -> Table:
             continue
         name = estimate.name if estimate.identifiable else f"{estimate.name} (not identifiable)"
         rows.append((name, value, interval, unit))
-    return plain_table(f"{found.model.name}, {found.samples} samples", ("", "value", "95 % interval", ""), rows)
+    return Section(f"{found.model.name}, {found.samples} samples", rows)
 
 
-def repeatability_table(found: Identification) -> Table:
+def repeatability_section(found: Identification) -> Section:
     """Return a table of how well the optimiser repeats: statistics over the trials as in the paper's Table 1, and the
     exact optimum. These are not uncertainties of the parameters.
     """
-    rows = []
+    rows = [("", "best trial", "mean ± std", "exact", "")]
     for estimate in found.estimates:
         factor, unit = people_unit(estimate.unit, milli=milli(found))
         trials = estimate.optimiser
         std = f" ± {trials.std * factor:.0e}" if math.isfinite(trials.std) else ""  # none for a single trial
         numbers = (f"{trials.best * factor:.5g}", f"{trials.mean * factor:.5g}{std}", f"{estimate.exact * factor:.5g}")
         rows.append((estimate.name, *numbers, unit))
-    title = f"optimiser repeatability, {len(found.trials.fitness)} trials"
-    return plain_table(title, ("", "best trial", "mean ± std", "exact", ""), rows)
+    return Section(f"optimiser repeatability, {len(found.trials.fitness)} trials", rows)
 
 
-def model_selection_table(found: Identification) -> Table:
+def model_selection_section(found: Identification) -> Section:
     """Return a table of the model selection: for each term the improvement of the score, and Kc and Bc with this
     term.
     """
@@ -147,19 +144,20 @@ def model_selection_table(found: Identification) -> Table:
         )
         for step in found.steps
     ]
-    return plain_table("model selection", headings, rows)
+    return Section("model selection", [headings, *rows])
 
 
-def bands_table(found: Identification) -> Table | None:
+def bands_section(found: Identification) -> Section | None:
     """Return a table of the dynamic stiffness in frequency bands; None if the recording is too short."""
     if found.dynamic_stiffness is None:
         return None
     factor, stiffness = people_unit("N*m/rad", milli=milli(found))
     damping = people_unit("N*m*s/rad", milli=milli(found))[1]
-    table = dynamic_stiffness_table(found.dynamic_stiffness, factor, stiffness, damping)
-    if found.torque_scale.included:  # it would hide the shape, for which these intervals are
-        table.title = f"{table.title}, without the uncertainty of the torque's scale"
-    return table
+    bands = dynamic_stiffness_section(found.dynamic_stiffness, factor, stiffness, damping)
+    if not found.torque_scale.included:
+        return bands
+    # it would hide the shape, for which these intervals are
+    return replace(bands, heading=f"{bands.heading}, without the uncertainty of the torque's scale")
 
 
 def identification_lines(found: Identification) -> list[str]:

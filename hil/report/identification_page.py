@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,19 +13,20 @@ from hil.errors import Untrustworthy, WrongUse
 from hil.recording.channels import units_of
 from hil.recording.interval import named
 from hil.recording.reader import Recording
-from hil.report.controller import constant_part_line, controller_line, controller_rows
-from hil.report.html_page import Page, Picture, Section, table_rows, write
+from hil.report.controller import constant_part_line, controller_section
+from hil.report.formatting import Section, capitalised
+from hil.report.html_page import Page, Picture, write
 from hil.report.identification import (
-    bands_table,
+    bands_section,
     equation,
-    estimates_table,
+    estimates_section,
     headline,
     identification_lines,
     meaning,
     milli,
-    model_selection_table,
+    model_selection_section,
     optimum_lines,
-    repeatability_table,
+    repeatability_section,
     verdicts,
 )
 from hil.report.identification_json import as_json
@@ -60,22 +62,20 @@ def write_page(found: Identification, path: Path, command: str = "", *, force: b
 
 def _sections(found: Identification) -> list[Section]:
     meanings = {one.name: one.meaning for one in (*found.model.linear, *found.model.nonlinear)}
-    headings, *numbers = table_rows(estimates_table(found))
+    headings, *numbers = estimates_section(found).rows
     rows = [[*row, meanings.get(one.name, "")] for row, one in zip(numbers, found.estimates, strict=True)]
     model = (f"model: {meaning(found.model)}", equation(found.model))
     fit = lack_of_fit_line(found.lack_of_fit) if found.lack_of_fit else ""
     lines = [*filter(None, (*model, constant_part_line(found), fit)), *identification_lines(found)]
     sections = [Section("Numbers, with 95 % intervals", [[*headings, "meaning"], *rows], lines)]
-    loop = controller_rows(found, milli=milli(found))
-    table = [("", "value", "95 % interval", ""), *loop] if loop else []
-    sections.append(Section("For a controller", table, (controller_line(found),)))
-    if found.steps:
-        sections.append(Section("Model selection", table_rows(model_selection_table(found))))
-    if bands := bands_table(found):
-        sections.append(Section("Dynamic stiffness", table_rows(bands), [str(bands.title).partition(", ")[2]]))
+    others = [controller_section(found, milli=milli(found))]
+    others += [model_selection_section(found)] if found.steps else []
+    sections += [replace(one, heading=capitalised(one.heading)) for one in others]
+    if bands := bands_section(found):
+        sections.append(Section("Dynamic stiffness", bands.rows, [bands.heading.partition(", ")[2]]))
     text = f"{len(found.trials.fitness)} independent trials. This is how well the search repeats, and no uncertainty."
     lines = [text, *optimum_lines(found)]
-    return [*sections, Section("Optimiser repeatability", table_rows(repeatability_table(found)), lines)]
+    return [*sections, Section("Optimiser repeatability", repeatability_section(found).rows, lines)]
 
 
 def write_failure(

@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from hil.recording.interval import named
-from hil.report.formatting import diagnostics_json, engineering, json_number
+from hil.report.formatting import Section, diagnostics_json, engineering, json_number
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.signals.inspection import Inspection
 
 _SEEN = 1e-6  # s; nothing is late in virtual time but for rounding
@@ -17,12 +15,8 @@ SCHEMA = "hil-inspection/2"
 """The name and version of the JSON object. In version 1 the errors were in the list of warnings."""
 
 
-def inspection_table(seen: Inspection) -> Table:
-    """Return the summary of a recording as a table."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=Text(f"{named(seen.path, seen.window)}: {seen.kind}, {seen.end_reason}"), show_header=False)
+def inspection_section(seen: Inspection) -> Section:
+    """Return the summary of a recording as a table without headings."""
     rows = {
         "samples": f"{seen.samples} over {seen.duration:.3g} s",
         "rate": f"{seen.rate:.5g} Hz, 99 % of intervals within {engineering(seen.jitter, 's')} of it",
@@ -43,9 +37,8 @@ def inspection_table(seen: Inspection) -> Table:
         rows["lateness"] = f"median {median}, 99 % within {most}, largest {largest}; {seen.missed} ticks missed"
     if seen.calibrated:
         rows["calibrated"] = ", ".join(f"{name} {date[:10]}" for name, date in seen.calibrated.items())
-    for name, text in rows.items():
-        table.add_row(name, Text(text))
-    return table
+    heading = f"{named(seen.path, seen.window)}: {seen.kind}, {seen.end_reason}"
+    return Section(heading, [("", ""), *rows.items()])
 
 
 def as_json(seen: Inspection) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.diagnostics import Diagnostic
 from hil.report.chart import Chart, Panel, with_intervals
-from hil.report.formatting import people_unit, rounded_with_value
-from hil.report.html_page import Page, Picture, Section, write
+from hil.report.formatting import Section, people_unit, rounded_with_value
+from hil.report.html_page import Page, Picture, write
 from hil.report.identification import headline, milli
 from hil.report.identification_json import as_json
 from hil.report.pictures.result import fit_pictures

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hil.report.formatting import json_number, plain_table, rounded
+from hil.report.formatting import Section, json_number, rounded
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.identification.misfit.dynamic_stiffness import DynamicStiffness
     from hil.identification.misfit.outcome import LackOfFit
 
@@ -66,7 +64,7 @@ def dynamic_stiffness_json(found: DynamicStiffness | None) -> dict[str, Any] | N
     }
 
 
-def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Table:
+def dynamic_stiffness_section(found: DynamicStiffness, factor: float, stiffness: str, damping: str) -> Section:
     """Return a table of stiffness K'(f) and damping B'(f) with half of their 95 % intervals.
 
     factor: from SI to the printed units. stiffness, damping: the printed units.
@@ -79,5 +77,5 @@ def dynamic_stiffness_table(found: DynamicStiffness, factor: float, stiffness: s
     frequency = [f"{value:.3g}" for value in found.frequency.tolist()]
     coherence = [f"{value:.4f}" for value in found.coherence.tolist()]
     headings = ["f, Hz", f"K', {stiffness}", f"B', {damping}", "coherence"]
-    rows = list(zip(frequency, *columns, coherence, strict=True))
-    return plain_table(f"dynamic stiffness, instrument: {found.instrument}", headings, rows)
+    rows = zip(frequency, *columns, coherence, strict=True)
+    return Section(f"dynamic stiffness, instrument: {found.instrument}", [headings, *rows])

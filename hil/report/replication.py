@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.identification.replicate import PAPER
-from hil.report.formatting import diagnostics_json, json_number
-from hil.report.html_page import Page, Picture, Section, write
+from hil.report.formatting import Section, diagnostics_json, json_number
+from hil.report.html_page import Page, Picture, write
 from hil.report.pictures.search import convergence_chart, convergence_text
 from hil.report.provenance import provenance
 

@@ -17,7 +17,7 @@ from hil.cli.terminal import (
     command_line,
     note,
     out,
-    out_table,
+    out_section,
     print_diagnostics,
     print_json,
     say,
@@ -74,7 +74,7 @@ def _conducted(loaded: Plan, *, dry_run: bool, yes: bool, workers: int, as_json:
     from hil.campaign import conduct, page
     from hil.campaign.journal import Journal
     from hil.campaign.results import results
-    from hil.report.formatting import plain_table
+    from hil.report.formatting import Section
 
     journal = Journal(loaded)
     if dry_run:
@@ -92,9 +92,8 @@ def _conducted(loaded: Plan, *, dry_run: bool, yes: bool, workers: int, as_json:
     if as_json:
         print_json(page.as_json(loaded, found))
     else:
-        headings, *rows = page.table(found)
         out(page.verdict(found))
-        out_table(plain_table(loaded.settings.name, headings, rows))
+        out_section(Section(loaded.settings.name, page.table(found)))
     note(f"wrote {page.write_results(loaded, found, command_line())}")
     print_diagnostics(page.diagnostics(found))
     if not found.complete:

@@ -9,7 +9,7 @@ import typer
 
 from hil.cli import options
 from hil.cli.progress import progress
-from hil.cli.terminal import UNTRUSTWORTHY, command_line, detail, note, out, out_table, print_diagnostics, print_json
+from hil.cli.terminal import UNTRUSTWORTHY, command_line, note, out, out_section, print_diagnostics, print_json
 
 
 def compare(
@@ -26,7 +26,7 @@ def compare(
 ) -> None:
     """Check whether Kc and Bc repeat from recording to recording, and whether they drift."""
     from hil.api import analysis
-    from hil.report.comparison import comparison_table, notes
+    from hil.report.comparison import comparison_section
 
     options.check_report(report, recordings, force=force)
     with progress() as show:
@@ -39,9 +39,7 @@ def compare(
         out(str(found))
     print_diagnostics(found.diagnostics)
     if not as_json:
-        out_table(comparison_table(found.comparison))
-        for line in notes(found.comparison):
-            detail(line)
+        out_section(comparison_section(found.comparison))
     if report is not None:
         note(f"wrote {found.report(report, command_line(), force=force)}")
     if not found.trustworthy:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hil.cli import options
-from hil.cli.terminal import command_line, detail, note, out, out_table, print_json
+from hil.cli.terminal import command_line, detail, note, out, out_section, print_json
 from hil.errors import WrongUse, decimal_comma
 
 _PARTS = (
@@ -57,7 +57,7 @@ def hysteresis(
     else:
         out(str(found))
         for table in tables(found.measures):
-            out_table(table)
+            out_section(table)
         for line in [*marked(found.measures), *notes(found.torque_scale)]:
             detail(line)
     if report is not None:

@@ -12,13 +12,11 @@ import numpy as np
 
 from hil.hysteresis_curve.measures import UNITS, Measures, Spread
 from hil.report.chart import Chart, Line, Panel
-from hil.report.formatting import capitalised, json_number, people_unit, plain_table, scale_json, scale_line
-from hil.report.html_page import Page, Picture, Section, table_rows, write
+from hil.report.formatting import Section, capitalised, json_number, people_unit, scale_json, scale_line
+from hil.report.html_page import Page, Picture, write
 from hil.report.provenance import provenance
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from hil.recording.channels import TorqueScale
 
 SCHEMA = "hil-hysteresis/1"
@@ -37,7 +35,7 @@ def answers(found: Measures) -> list[str]:
     return [stiffness, *filter(None, [", ".join(loops)])]
 
 
-def tables(found: Measures) -> list[Table]:
+def tables(found: Measures) -> list[Section]:
     """Return the tables of lost motion, hysteresis, play and loss, if there are loops, and of the stiffness."""
     spread = ("mean", "smallest to largest", "number", "s of cycles", "s of recordings")
     (factor, unit), (size, torque) = _unit(found, "N*m/rad"), _unit(found, "N*m")
@@ -46,8 +44,8 @@ def tables(found: Measures) -> list[Table]:
         for (branch, direction, (low, high)), one in sorted(found.stiffness.items(), key=lambda item: item[0][2])
     ]
     loops = [(name, *_cells(one, of), unit) for name, one, of, unit in _loops(found)]
-    made = [plain_table("lost motion, play, hysteresis, loss", ("", *spread, ""), loops)] if loops else []
-    return [*made, plain_table(f"stiffness, {unit}", ("", f"part, {torque}", *spread), stiffness)]
+    made = [Section("lost motion, play, hysteresis, loss", [("", *spread, ""), *loops])] if loops else []
+    return [*made, Section(f"stiffness, {unit}", [("", f"part, {torque}", *spread), *stiffness])]
 
 
 def _loops(found: Measures) -> list[tuple[str, Spread, float, str]]:
@@ -164,7 +162,7 @@ def write_page(
     WrongUse.
     """
     said = answers(found)
-    shown = [Section(capitalised(str(table.title)), table_rows(table)) for table in tables(found)]
+    shown = [replace(one, heading=capitalised(one.heading)) for one in tables(found)]
     shown[-1] = replace(shown[-1], lines=notes(scale))
     page = Page(
         title=f"{', '.join(one.name for one in paths)}: {said[0]}",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cli.terminal import out_table
-from hil.report.formatting import plain_table
+from hil.cli.terminal import out_section
+from hil.report.formatting import Section
 
 HEADINGS = ["joint", "setting", "recordings", "Kc, mN m/rad", "Bc, mN m s/rad", "state"]
 ROWS = [
@@ -19,7 +19,7 @@ def test_every_word_of_a_table_is_whole_at_every_width(
     width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(width))
-    out_table(plain_table("simulated hand", HEADINGS, ROWS))
+    out_section(Section("simulated hand", [HEADINGS, *ROWS]))
     words = set(capsys.readouterr().out.replace(":", " ").replace(",", " ").split())
     for cell in [*HEADINGS, *(cell for row in ROWS for cell in row)]:
         assert set(cell.replace(",", " ").split()) <= words
@@ -27,5 +27,5 @@ def test_every_word_of_a_table_is_whole_at_every_width(
 
 def test_a_table_that_fits_stays_a_table(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setenv("COLUMNS", "120")
-    out_table(plain_table("simulated hand", HEADINGS, ROWS))
+    out_section(Section("simulated hand", [HEADINGS, *ROWS]))
     assert any("thumb-cmc-flexion" in line and "repeats" in line for line in capsys.readouterr().out.splitlines())

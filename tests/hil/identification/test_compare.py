@@ -23,7 +23,7 @@ from hil.identification.identify import identify_sources
 from hil.identification.result import Estimate, Repeatability, standard_error, with_scale
 from hil.identification.same_stand import same_stand_diagnostics
 from hil.recording.channels import TorqueScale
-from hil.report.comparison import as_json, notes
+from hil.report.comparison import as_json, comparison_section
 from hil.signals.source import open_sources
 
 from ..conftest import Hil, Maker, edited
@@ -122,7 +122,7 @@ def test_an_uncertain_torque_is_said_to_be_the_same_in_all_recordings(make_recor
     said = [one.message for one in found.diagnostics if one.code in {"hard-to-compare", "wide-interval"}]
     assert sum("no drift is estimated" in one for one in said) == 1
     assert sum("uncertain by 12% because the torque's scale is" in one for one in said) == 1
-    assert "the same in all recordings; only the pooled intervals include it" in notes(found)[0]
+    assert "the same in all recordings; only the pooled intervals include it" in comparison_section(found).lines[0]
     assert found.parameters[0].drift is None  # of two
 
 

@@ -15,7 +15,7 @@ from hil.diagnostics import Diagnostic
 from hil.exchange.coupling import of_json
 from hil.exchange.models import c_header
 from hil.identification.result import Identification
-from hil.report.controller import controller, controller_json, controller_line, controller_rows
+from hil.report.controller import controller, controller_json, controller_line, controller_section
 
 RATIO, INERTIA, DAMPING = 4.0, 5e-7, 1e-6
 STAND = f"""[stand]
@@ -86,7 +86,7 @@ def test_what_may_not_be_trusted_or_is_not_known_gives_no_number(found: Identifi
     wrong = replace(found, diagnostics=(Diagnostic("misfit", "wrong", "Bc", is_error=True),))
     assert controller(wrong) is None
     assert controller_json(wrong) is None
-    assert controller_rows(wrong, milli=True) == []
+    assert controller_section(wrong, milli=True).rows == ()
     assert "may not be trusted" in controller_line(wrong)
     unknown = controller(replace(found, signals=replace(found.signals, motor=(0.0, 0.0))))
     assert unknown is not None

@@ -25,7 +25,8 @@ from hil.identification.result import Identification
 from hil.recording.channels import Row
 from hil.recording.writer import Header, RecordingWriter
 from hil.report.chart import Chart, Line, Panel, Scale
-from hil.report.html_page import Page, Picture, Section, write
+from hil.report.formatting import Section
+from hil.report.html_page import Page, Picture, write
 from hil.report.pictures import result as drawing
 from hil.report.pictures.files import write_pictures
 from hil.report.pictures.thinning import loop_pieces, trace_rows
