@@ -58,7 +58,7 @@ from sim_backend.wire.odrive import states as odrive_states
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 from sim_backend.wire.robstride import device as robstride
 
-from .conftest import marks_of, sampled
+from .conftest import MX_LIMITS, marks_of, sampled
 
 Rig = Any
 Fresh = Callable[[Sample], bool]
@@ -142,6 +142,10 @@ class Drive:
 
 def of_registers(rig: Rig, _servo: Any) -> Fresh:
     return lambda sample: sample.motor_position == rig.device.registers.get("present_position") * POSITION_LSB
+
+
+def of_one_turn(rig: Rig, _servo: Any) -> Fresh:
+    return lambda sample: round(sample.motor_position / POSITION_LSB) % 4096 == rig.device.get("present_position")
 
 
 def odrive_ages(rig: Rig, _servo: Any) -> Fresh:
@@ -554,6 +558,23 @@ BOARD = Drive(
 
 DRIVES = {
     "dynamixel": SERVO,
+    "dynamixel mx": replace(
+        SERVO,
+        arguments=("mx-64",),
+        limits=MX_LIMITS,
+        push=0.05,
+        fresh=of_one_turn,
+        damages=(CorruptReplies(), *cut_short(10, 5)),
+        off=lambda rig: (
+            (rig.motor.enabled, rig.device.get("goal_torque"), rig.device.get("torque_control")) == (0, 0, 0)
+        ),
+        twins=None,
+        latched=None,
+        running=None,
+        hot=None,
+        refused=None,
+        watch=None,
+    ),
     "feetech hls": FEETECH,
     "feetech sts": replace(
         FEETECH,

@@ -167,21 +167,6 @@ def test_the_states_are_gone_through_by_sdo_and_torque_turns_the_motor(
     assert not device.motor.enabled
 
 
-def test_the_librarys_own_drive_profile_enables_it(network: Any, bus: Any) -> None:
-    del network[1]
-    node: Any = BaseNode402(1, dictionary(bus.nodes[0]))  # type: ignore[no-untyped-call]  # typed in parts
-    network.add_node(node)
-    node.nmt.state = "PRE-OPERATIONAL"
-    node.sdo[0x1017].raw = 20
-    node.nmt.wait_for_heartbeat(1.0)
-    node.setup_402_state_machine()
-    node.nmt.state = "OPERATIONAL"
-    node.state = "OPERATION ENABLED"
-    assert bus.nodes[0].machine.state is Cia402State.OPERATION_ENABLED
-    node.state = "SWITCH ON DISABLED"
-    assert not bus.nodes[0].motor.enabled
-
-
 def test_a_fault_is_an_emcy_with_its_code_and_is_reset(network: Any, bus: Any) -> None:
     node, device = network[1], bus.nodes[0]
     device.fail(FOLLOWING_ERROR)

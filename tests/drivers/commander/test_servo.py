@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import TypeAdapter, ValidationError
 
 from drivers.clock import VirtualClock
-from drivers.commander.config import CommanderConfig
 from drivers.commander.lines import RESOLUTION, same, state, target
 from drivers.commander.servo import CommanderServo
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity
@@ -234,28 +232,6 @@ def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> 
     foc.wait(4.0)
     servo.disarm()
     assert off(foc)
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        ({"watchdog": None}, "watchdog"),
-        ({"torque_constant": 0.0}, "torque_constant"),
-        ({"motor": "MM"}, "motor"),
-        ({"torque_mode": "voltage"}, "torque_mode"),
-        ({"sign": 2}, "sign"),
-        ({"bauderate": 1}, "bauderate"),
-    ],
-)
-def test_a_table_that_cannot_be_is_refused_at_its_key(change: dict[str, Any], key: str) -> None:
-    good: dict[str, Any] = {"port": "/dev/ttyACM0", "torque_constant": 0.05, "watchdog": 0.1}
-    table = TypeAdapter(CommanderConfig)
-    assert table.validate_python(good).motor == "M"
-    with pytest.raises(ValidationError) as caught:
-        table.validate_python(good | change)
-    assert [error["loc"][0] for error in caught.value.errors()] == [key]
-    with pytest.raises(ValidationError, match="one lost reply"):
-        table.validate_python(good | {"watchdog": 0.01})
 
 
 # -- torque off -----------------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,20 +97,6 @@ def test_firmware_without_a_watchdog_is_refused_unless_the_watchdog_is_given_up(
     with pytest.raises(DriverError, match="firmware 36"):
         rig.open()
     rig.open(watchdog=0.0).close()
-
-
-@pytest.mark.parametrize(
-    ("changes", "key"),
-    [
-        ({"model": "ax-12"}, "dynamixel.model"),
-        ({"baudrate": 4_500_000}, "dynamixel.baudrate"),
-        ({"model": "xl430-w250", "mode": "current"}, "dynamixel.mode"),
-        ({"watchdog": 0.01}, "dynamixel.watchdog"),
-    ],
-)
-def test_a_table_that_cannot_work_is_refused_with_its_key(changes: dict[str, Any], key: str) -> None:
-    with pytest.raises(ValueError, match=key):
-        replace(config("p"), **changes)
 
 
 # -- running --------------------------------------------------------------------------------------------------------

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, GroupSyncWrite, PortHandler, Protocol1PacketHandler
+from dynamixel_sdk import Protocol1PacketHandler
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dynamixel.config import DynamixelConfig
-from drivers.dynamixel.faults import RESTARTED
 from drivers.dynamixel.models import POSITION_LSB, models
-from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
+from drivers.servo import Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
@@ -27,12 +23,10 @@ from sim_backend.wire.dynamixel.mx_device import (
     MxDevice,
 )
 from sim_backend.wire.dynamixel.tables import MX_MODELS
-from sim_backend.wire.faults import CorruptReplies, DelayReplies, DropReplies, Reboots, TruncateReplies
 from sim_backend.wire.packets.bus import PacketBus
 from sim_backend.wire.packets.frames import Framer
 from sim_backend.wire.packets.frames_1 import status_1, take_packet_1
 from sim_backend.wire.packets.regulator import COUNT
-from sim_backend.wire.uart.pty_line import PtyLine
 
 from ..conftest import small_joint
 
@@ -51,14 +45,6 @@ def drive(rig: Any, servo: Any, command: Command, ticks: int = 20) -> Sample:
         rig.wait(2e-3)
         sample: Sample = servo.exchange(command)
     return sample
-
-
-def drive_on(rig: Any, servo: Any) -> None:
-    """A while of ticks; lost ones are passed over."""
-    for _ in range(200):
-        rig.wait(2e-3)
-        with contextlib.suppress(NoReply, BadReply):
-            servo.exchange(torque(0.05))
 
 
 def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:
@@ -154,37 +140,6 @@ def test_heat_sets_the_torque_limit_to_zero_and_is_reported_while_it_lasts() -> 
     device.advance(0.2)
     assert device.alerted(0) == 0
     assert device.get("torque_limit") == 0
-
-
-@pytest.fixture
-def line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, PacketBus]]:
-    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)  # ms; patience on a busy machine
-    bus = PacketBus([], protocol=1)
-    with PtyLine(tmp_path / "ttyDXL", bus) as served:
-        bus.devices += [MxDevice("mx-64", 1, now=served.now()), MxDevice("mx-106", 2, now=served.now())]
-        port = PortHandler(str(served.link))
-        port.openPort()
-        try:
-            yield port, bus
-        finally:
-            port.closePort()
-
-
-@pytest.mark.study
-def test_the_vendors_client_finds_a_plausible_servo(line: tuple[Any, PacketBus]) -> None:
-    port, bus = line
-    assert PACKETS.ping(port, 1) == (310, COMM_SUCCESS, 0)
-    assert PACKETS.ping(port, 2) == (320, COMM_SUCCESS, 0)
-    assert PACKETS.ping(port, 3)[1] == COMM_RX_TIMEOUT
-    assert PACKETS.read2ByteTxRx(port, 1, 8) == (4095, COMM_SUCCESS, 0)
-    assert PACKETS.write2ByteTxRx(port, 2, 34, 300) == (COMM_SUCCESS, 0)
-    assert PACKETS.write2ByteTxRx(port, 2, 34, 1024) == (COMM_SUCCESS, MX_RANGE)
-    group = GroupSyncWrite(port, PACKETS, 71, 2)
-    for ident in (1, 2):
-        assert group.addParam(ident, [ident, 4])
-    assert group.txPacket() == COMM_SUCCESS
-    assert PACKETS.read2ByteTxRx(port, 2, 71) == (1026, COMM_SUCCESS, 0)
-    assert [device.get("goal_torque") for device in bus.devices] == [1025, 1026]
 
 
 def test_bulk_read_is_answered_in_its_order() -> None:
@@ -319,16 +274,6 @@ def test_a_mute_servo_that_takes_no_settings_is_named_with_its_register(make_rig
         rig.open()
 
 
-def test_after_torque_off_nothing_waits_to_act(make_rig: Make) -> None:
-    rig = make_rig("mx-64")
-    servo = rig.open()
-    servo.arm(LIMITS)
-    drive(rig, servo, torque(0.3), ticks=3)
-    servo.disarm()
-    assert not rig.device.motor.enabled
-    assert (rig.device.get("goal_torque"), rig.device.get("torque_control")) == (0, 0)
-
-
 @pytest.mark.parametrize("bits", [MX_HEAT, MX_OVERLOAD])
 def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: Make, bits: int) -> None:
     rig = make_rig("mx-64")
@@ -348,61 +293,8 @@ def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: 
     assert not rig.device.motor.enabled
 
 
-def test_a_servo_that_restarts_is_a_fault(make_rig: Make) -> None:
-    rig = make_rig("mx-64")
-    servo = rig.open()
-    servo.arm(LIMITS)
-    rig.bus.faults.inject(Reboots(after=2))
-    with pytest.raises(DeviceFault) as fault:
-        drive_on(rig, servo)
-    assert fault.value.code == RESTARTED
-    servo.close()
-
-
-@pytest.mark.parametrize("kind", [DropReplies, CorruptReplies, TruncateReplies, DelayReplies])
-def test_what_goes_wrong_on_the_line_is_a_gap_and_never_another_value(make_rig: Make, kind: Any) -> None:
-    rig = make_rig("mx-64")
-    rig.bus.devices[0] = soft(stiffness=1.0)
-    servo = rig.open()
-    servo.arm(LIMITS)
-    drive(rig, servo, torque(0.2), ticks=50)
-    rig.bus.faults.inject(kind(after=3, count=2))
-    gaps = 0
-    for _ in range(12):
-        rig.wait(2e-3)
-        try:
-            sample = servo.exchange(torque(0.2))
-        except (NoReply, BadReply):
-            gaps += 1
-        else:
-            assert sample.motor_position == pytest.approx(rig.device.motor.position, abs=0.05)
-    assert 0 < gaps <= 4
-
-
 def test_older_firmware_has_no_tick_and_works_without(make_rig: Make) -> None:
     rig = make_rig("mx-64", firmware=36)
     servo = rig.open()
     servo.arm(LIMITS)
     assert drive(rig, servo, torque(0.1)).status == 0
-
-
-def test_a_torque_that_does_not_go_off_is_reported(make_rig: Make) -> None:
-    rig = make_rig("mx-64")
-    servo = rig.open()
-    servo.arm(LIMITS)
-    rig.device.life.ignores_off = True
-    with pytest.raises(DriverError, match="cut the drive's power"):
-        servo.disarm()
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({}, "the mx-64 has none: set it to 0"),
-        ({"watchdog": 0.0, "mode": "current-based-position"}, "has current and extended-position"),
-        ({"watchdog": 0.0, "baudrate": 4_000_000}, "no code for it"),
-    ],
-)
-def test_what_an_mx_cannot_do_is_refused_in_the_stand_file(change: dict[str, Any], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        DynamixelConfig(port="p", model="mx-64", **change)

@@ -192,35 +192,3 @@ def test_the_emulators_tables_and_the_adapters_agree(name: str) -> None:
     renamed = {"torque_limit": "max_torque"} if theirs.big else {}
     for key, register in registers(ours.family).items():
         assert (register.address, register.size) == items[renamed.get(key, key)]
-
-
-@pytest.mark.study
-@pytest.mark.parametrize(("protocol", "model", "number"), [(0, "sts3215", 777), (1, "scs0009", 1284)])
-def test_the_vendors_sdk_reads_and_writes_the_emulator(
-    tmp_path: Any, protocol: int, model: str, number: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sdk = pytest.importorskip("scservo_sdk", reason="SDK NOT TESTED: pip install feetech-servo-sdk")
-    from sim_backend.wire.feetech.emulator import serve
-
-    def patient(port: Any, length: int) -> None:  # its own is in the wrong unit: gitee.com/ftservo/SCServoSDK IBY2S6
-        port.packet_start_time = port.getCurrentTime()
-        port.packet_timeout = port.tx_time_per_byte * (length + 3.0) + 500.0
-
-    monkeypatch.setattr(sdk.PortHandler, "setPacketTimeout", patient)
-    with serve(tmp_path / "tty", model, (1, 2)) as line:  # type: ignore[union-attr]  # without a cell it is one line
-        port = sdk.PortHandler(str(line.link))
-        assert port.openPort()
-        packets = sdk.PacketHandler(protocol)
-        try:
-            assert packets.ping(port, 2) == (number, sdk.COMM_SUCCESS, 0)
-            assert packets.write2ByteTxRx(port, 1, 42, 1000) == (sdk.COMM_SUCCESS, 0)
-            assert packets.read2ByteTxRx(port, 1, 42) == (1000, sdk.COMM_SUCCESS, 0)
-            assert packets.read1ByteTxRx(port, 1, 13) == (70, sdk.COMM_SUCCESS, 0)
-            group = sdk.GroupSyncRead(port, packets, 42, 2)
-            for ident in (1, 2):
-                group.addParam(ident)
-            assert (group.txRxPacket() == sdk.COMM_SUCCESS) == (protocol == 0)  # an SCS has no Sync Read
-            if protocol == 0:
-                assert group.getData(1, 42, 2) == 1000
-        finally:
-            port.closePort()

@@ -275,22 +275,6 @@ def test_the_search_names_what_answers_with_other_settings(make_feetech: Make) -
     assert found == ["a sts3215 answers with id 1 at 115200 baud", "a sts3250 answers with id 7 at 115200 baud"]
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ({"model": "sts3216"}, "not known"),
-        ({"baudrate": 19_200}, "one of 1000000"),
-        ({"mode": "torque"}, "has none, only position"),
-        ({"model": "hls3930m", "return_delay": 1e-4}, "set it to 0"),
-        ({"model": "hls3606m"}, "torque_constant: must be given"),
-        ({"model": "scs0009", "torque_constant": 0.2}, "measures no current"),
-    ],
-)
-def test_a_table_that_cannot_be_is_refused(words: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        FeetechConfig(**{"port": "x", "model": "sts3215"} | words)
-
-
 def test_a_torque_is_not_commanded_of_a_servo_without_a_torque_mode(tmp_path: Path, capsys: Any) -> None:
     stand = tmp_path / "stand.toml"
     stand.write_text(STAND.format(table='model = "sts3215"', source="motor"))

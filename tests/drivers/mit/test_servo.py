@@ -10,9 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter, ValidationError
 
-from drivers.mit.config import MitConfig
 from drivers.mit.frames import Codec, models
 from drivers.servo import Command, Limits, Quantity
 from sim_backend.wire.can_families import mit as serve
@@ -27,28 +25,6 @@ ENTER, LEAVE = bytes([0xFF] * 7 + [0xFC]), bytes([0xFF] * 7 + [0xFD])
 
 def torque(value: float) -> Command:
     return Command(Quantity.TORQUE, value)
-
-
-def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at_its_key() -> None:
-    table = TypeAdapter(MitConfig)
-    good: dict[str, Any] = {"interface": "socketcan", "channel": "can0", "model": "dm-j4310"}
-    assert table.validate_python(good | {"id": 3, "reply_id": 0x13}).reply_ids == {0x13}
-    assert table.validate_python(good | {"model": "ak80-9", "id": 104}).reply_ids == {0, 104}
-    wrong: list[tuple[dict[str, Any], str]] = [
-        ({"id": 0}, "id"),
-        ({"torque_scale": 0.0}, "torque_scale"),
-        ({"velocity_range": float("nan")}, "velocity_range"),
-        ({"sign": 2}, "sign"),
-        ({"modell": "x"}, "modell"),
-    ]
-    for change, key in wrong:
-        with pytest.raises(ValidationError) as caught:
-            table.validate_python(good | change)
-        assert [error["loc"][0] for error in caught.value.errors()] == [key]
-    with pytest.raises(ValidationError, match="Input should be 'ak10-9'"):
-        table.validate_python(good | {"model": "ak1"})
-    with pytest.raises(ValueError, match=r"mit\.model 'ak1' is not known"):
-        MitConfig(interface="socketcan", channel="can0", model="ak1")
 
 
 def test_both_sides_know_the_same_motors() -> None:

@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter, ValidationError
 
-from drivers.moteus.config import MoteusConfig
 from drivers.moteus.frames import FLOAT, INT8, INT16, INT32, answers, filled, read, registers, write
 from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Status, UnsafeCommand
 from sim_backend.wire.canbus.frames import CanFrame
@@ -30,26 +28,6 @@ def torque(value: float) -> Command:
 def to(device: MoteusDevice, hexadecimal: str, ident: int = 0x8001) -> str:
     replies = device.handle(CanFrame(ident, bytes.fromhex(hexadecimal), extended=True, fd=True, fast=True), 0.1)
     return "".join(reply.data.hex() for reply in replies)
-
-
-def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at_its_key() -> None:
-    table = TypeAdapter(MoteusConfig)
-    good: dict[str, Any] = {"interface": "socketcan", "channel": "can0"}
-    config = table.validate_python(good | {"id": 3, "sign": -1})
-    assert (config.bus.bitrate, config.bus.data_bitrate) == (1_000_000, 5_000_000)
-    wrong: list[tuple[dict[str, Any], str]] = [
-        ({"id": 0}, "id"),
-        ({"mode": "velocity"}, "mode"),
-        ({"watchdog": 0.0}, "watchdog"),
-        ({"sign": 0}, "sign"),
-        ({"bit_rate": 1}, "bit_rate"),
-    ]
-    for change, key in wrong:
-        with pytest.raises(ValidationError) as caught:
-            table.validate_python(good | change)
-        assert [error["loc"][0] for error in caught.value.errors()] == [key]
-    with pytest.raises(ValidationError, match=r"moteus\.source"):
-        table.validate_python(good | {"id": 3, "source": 3})
 
 
 def test_the_manuals_example_is_understood_and_its_answer_decoded() -> None:

@@ -9,10 +9,8 @@ from typing import Any
 
 import can
 import pytest
-from pydantic import TypeAdapter, ValidationError
 
 from drivers.robstride import frames
-from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.frames import Codec, models
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, Quantity
 from sim_backend.wire.can_families import robstride as serve
@@ -42,26 +40,6 @@ def put(rig: Any, kind: int, field: int, to: int) -> None:
     message = can.Message(arbitration_id=frames.identifier(kind, field, to), data=bytes(8), is_extended_id=True)
     receive, waiting = rig.port._recv_internal, [message]
     rig.port._recv_internal = lambda timeout: (waiting.pop(), False) if waiting else receive(timeout)
-
-
-def test_a_few_lines_of_a_stand_file_are_enough_and_what_cannot_be_is_refused_at_its_key() -> None:
-    table = TypeAdapter(RobstrideConfig)
-    good: dict[str, Any] = {"interface": "socketcan", "channel": "can0", "model": "rs03"}
-    assert table.validate_python(good).host_id == 0xFD
-    for change, key in (
-        ({"id": 128}, "id"),
-        ({"torque_range": float("nan")}, "torque_range"),
-        ({"watchdog": 6}, "watchdog"),
-    ):
-        with pytest.raises(ValidationError) as caught:
-            table.validate_python(good | change)
-        assert [error["loc"][0] for error in caught.value.errors()] == [key]
-    with pytest.raises(ValidationError, match=r"robstride\.host_id 3 is the motor's id"):
-        table.validate_python(good | {"id": 3, "host_id": 3})
-    with pytest.raises(ValueError, match=r"robstride\.model 'rs9' is not known"):
-        RobstrideConfig(interface="socketcan", channel="can0", model="rs9")
-    with pytest.raises(ValueError, match=r"has no watchdog .* set robstride\.watchdog = 0"):
-        RobstrideConfig(interface="socketcan", channel="can0", model="cybergear")
 
 
 def test_both_sides_know_the_same_motors() -> None:
