@@ -34,7 +34,7 @@ from drivers.odrive.servo import OdriveServo
 from drivers.packets.port import SerialPort
 from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.servo import RobstrideServo
-from drivers.servo import Limits, Servo
+from drivers.servo import Command, Limits, Quantity, Sample, Servo
 from hil.doctor.stop_path import answered
 from hil.stand.file import load
 from hil.stand.opening import open_servo
@@ -140,6 +140,21 @@ class Rig:
             self.port.advance()
         else:
             self.bus.advance(self.clock.now())
+
+
+def torque(value: float) -> Command:
+    return Command(Quantity.TORQUE, value)
+
+
+def position(value: float) -> Command:
+    return Command(Quantity.POSITION, value)
+
+
+def drive(rig: Rig, servo: Any, command: Command, ticks: int = 20) -> Sample:
+    for _ in range(ticks):
+        rig.wait(2e-3)
+        sample: Sample = servo.exchange(command)
+    return sample
 
 
 def small_joint(coupling: CouplingParameters | None = None) -> SimParameters:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -44,8 +43,10 @@ def test_a_wrong_torque_constant_is_refused_with_its_number(name: str, factor: f
     "name", sorted(CASES.keys() - {"epos4"})
 )  # an EPOS4 states its constant, which the stand file repeats
 def test_a_measured_torque_constant_within_the_spread_of_the_makers_is_accepted(name: str, share: float) -> None:
-    make, _, constant = CASES[name]
-    replace(make().config, torque_constant=constant * share)
+    make, limits, constant = CASES[name]
+    rig = make()
+    rig.open(torque_constant=constant * share).arm(limits)
+    assert rig.motor.enabled
 
 
 def test_a_rated_torque_that_is_not_the_drive_s_is_refused() -> None:

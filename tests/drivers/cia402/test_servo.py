@@ -12,11 +12,13 @@ import pytest
 
 from drivers import tables
 from drivers.cia402.states import DriveState, state_of
-from drivers.servo import Command, DriverError, Limits, Quantity, Status
+from drivers.servo import Command, DriverError, Limits, Status
 from hil.stand.file import load
 from hil.stand.opening import open_servo
 from sim_backend.wire.catalogue import make
 from sim_backend.wire.cia402.machine import Cia402State
+
+from ..conftest import torque
 
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.04, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
@@ -40,10 +42,6 @@ torque_constant = 0.02
 reply_timeout = 0.3
 watchdog = 1.0
 """
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 def test_every_profile_of_the_driver_is_tested_here() -> None:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.dynamixel.models import POSITION_LSB, models
-from drivers.servo import Command, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample
+from drivers.servo import Command, DeviceFault, DriverError, Limits, NoReply, Quantity
 from sim_backend.parameters import CouplingParameters
 from sim_backend.wire.dynamixel.mx_device import (
     MX_ANGLE,
@@ -28,23 +28,12 @@ from sim_backend.wire.packets.frames import Framer
 from sim_backend.wire.packets.frames_1 import status_1, take_packet_1
 from sim_backend.wire.packets.regulator import COUNT
 
-from ..conftest import small_joint
+from ..conftest import drive, small_joint, torque
 
 Make = Callable[..., Any]
 PACKETS = Protocol1PacketHandler()
 LIMITS = Limits(torque=0.5, velocity=6.0, temperature=65.0, position=(-40.0, 40.0))
 TURN = 2.0 * math.pi
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
-
-
-def drive(rig: Any, servo: Any, command: Command, ticks: int = 20) -> Sample:
-    for _ in range(ticks):
-        rig.wait(2e-3)
-        sample: Sample = servo.exchange(command)
-    return sample
 
 
 def soft(model: str = "mx-64", stiffness: float = 0.05) -> MxDevice:

@@ -10,27 +10,14 @@ from typing import Any
 import pytest
 
 from drivers.dynamixel.models import POSITION_LSB, VELOCITY_LSB, models
-from drivers.servo import Command, Limits, Quantity, Sample, Status, UnsafeCommand
+from drivers.servo import Command, Limits, Quantity, Status, UnsafeCommand
 from drivers.tick import WRAP, Freshness, TickClock
 from sim_backend.wire.dynamixel.tables import MODELS
 
+from ..conftest import drive, position, torque
+
 Rig = Any
 Make = Callable[..., Rig]
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
-
-
-def position(value: float) -> Command:
-    return Command(Quantity.POSITION, value)
-
-
-def drive(rig: Rig, servo: Any, command: Command, ticks: int = 20) -> Sample:
-    for _ in range(ticks):
-        rig.wait(2e-3)
-        sample: Sample = servo.exchange(command)
-    return sample
 
 
 QUICK = {"mx-64", "mx-64-2", "xl330-m288", "xl430-w250"}  # both protocols, with and without a sensor of current

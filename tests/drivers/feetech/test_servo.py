@@ -13,7 +13,7 @@ import pytest
 from drivers.feetech.config import FeetechConfig
 from drivers.feetech.identity import search
 from drivers.feetech.models import models
-from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Sample, Status
+from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Status
 from hil.cli.app import run
 from hil.doctor.checks import CheckList
 from hil.doctor.examine import examine
@@ -22,25 +22,12 @@ from sim_backend.wire.feetech.device import FeetechDevice
 from sim_backend.wire.packets.frames import Framer, Instruction
 from sim_backend.wire.packets.frames_1 import take_packet_1, writes_1
 
+from ..conftest import drive, position, torque
+
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=30.0, temperature=60.0, position=(-20.0, 20.0))
 COUNT = math.tau / 4096.0
 TORQUE_ENABLE = 40
-
-
-def drive(rig: Any, servo: Any, command: Command, ticks: int = 20) -> Sample:
-    for _ in range(ticks):
-        rig.wait(2e-3)
-        sample: Sample = servo.exchange(command)
-    return sample
-
-
-def position(value: float) -> Command:
-    return Command(Quantity.POSITION, value)
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 def written(sent: bytes) -> list[tuple[int, bytes]]:

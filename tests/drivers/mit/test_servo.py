@@ -12,19 +12,17 @@ import numpy as np
 import pytest
 
 from drivers.mit.frames import Codec, models
-from drivers.servo import Command, Limits, Quantity
+from drivers.servo import Command, Limits
 from sim_backend.wire.can_families import mit as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.mit.device import MitDevice
 from sim_backend.wire.mit.tables import MODELS
 
+from ..conftest import torque
+
 Make = Callable[..., Any]
 LIMITS = Limits(torque=2.0, velocity=20.0, temperature=85.0, position=(-3.0, 3.0))
 ENTER, LEAVE = bytes([0xFF] * 7 + [0xFC]), bytes([0xFF] * 7 + [0xFD])
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 def test_both_sides_know_the_same_motors() -> None:

@@ -17,12 +17,10 @@ from sim_backend.wire.moteus.device import MoteusDevice
 from sim_backend.wire.moteus.frames import Read, Reader, Write
 from sim_backend.wire.moteus.registers import UNITS
 
+from ..conftest import torque
+
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=70.0, position=(-3.0, 3.0))
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 def to(device: MoteusDevice, hexadecimal: str, ident: int = 0x8001) -> str:

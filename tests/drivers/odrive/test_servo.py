@@ -11,18 +11,16 @@ from typing import Any
 
 import pytest
 
-from drivers.servo import Command, DriverError, Limits, NoReply, Quantity
+from drivers.servo import Command, DriverError, Limits, NoReply
 from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 from sim_backend.wire.odrive.states import CLOSED_LOOP, IDLE
 
+from ..conftest import torque
+
 Make = Callable[..., Any]
 LIMITS = Limits(torque=0.4, velocity=60.0, temperature=80.0, position=(-3.0, 3.0))
 FIRMWARES = ["0.5.6", "0.6.10"]
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 @pytest.fixture

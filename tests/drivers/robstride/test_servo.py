@@ -12,7 +12,7 @@ import pytest
 
 from drivers.robstride import frames
 from drivers.robstride.frames import Codec, models
-from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, Quantity
+from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits
 from sim_backend.wire.can_families import robstride as serve
 from sim_backend.wire.canbus.frames import CanFrame
 from sim_backend.wire.robstride.device import (
@@ -27,12 +27,10 @@ from sim_backend.wire.robstride.device import (
 )
 from sim_backend.wire.robstride.tables import MODELS
 
+from ..conftest import torque
+
 Make = Callable[..., Any]
 LIMITS = Limits(torque=2.0, velocity=20.0, temperature=85.0, position=(-3.0, 3.0))
-
-
-def torque(value: float) -> Command:
-    return Command(Quantity.TORQUE, value)
 
 
 def put(rig: Any, kind: int, field: int, to: int) -> None:
