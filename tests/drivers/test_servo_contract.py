@@ -226,3 +226,19 @@ def test_a_limit_below_what_the_device_resolves_is_refused_without_torque(wired:
             wired.servo.exchange(push(wired.servo, tiny, 0.1))
     else:  # a drive whose limits are floats takes it
         ask(wired.servo, push(wired.servo, wired.limits, 1.0))
+
+
+MEASURES_NO_TEMPERATURE = {"odrive 0.5.6", "cia402 epos2", "cia402 generic", "commander", "commander with a loadcell"}
+
+
+def test_temperature_and_voltage_come_with_the_ticks(wired: Any, request: pytest.FixtureRequest) -> None:
+    name = request.node.callspec.params["wired"]
+    wired.device.motor.warm_to(41.5)
+    for _ in range(40):
+        wired.wait(2e-3)
+        sample = ask(wired.servo, Command.rest())
+    if name in MEASURES_NO_TEMPERATURE:
+        assert math.isnan(sample.temperature)
+    else:
+        assert sample.temperature == pytest.approx(41.5, abs=1.0)
+    assert sample.voltage == pytest.approx(24.0) or name not in {"odrive 0.6.10", "cia402 epos4"}

@@ -180,17 +180,6 @@ def test_a_unit_of_velocity_that_is_not_known_is_refused(make_cia402: Make) -> N
         rig.open()
 
 
-def test_temperature_and_voltage_come_with_the_ticks(make_cia402: Make) -> None:
-    rig = make_cia402()
-    servo = rig.open()
-    rig.device.motor.warm_to(41.5)
-    for _ in range(40):
-        rig.wait(2e-3)
-        sample = servo.exchange(Command.rest())
-    assert sample.temperature == pytest.approx(41.5, abs=0.1)
-    assert sample.voltage == pytest.approx(24.0)
-
-
 def test_a_clipped_set_point_is_marked_and_so_is_a_limit_that_acts_in_the_drive(make_cia402: Make) -> None:
     rig = make_cia402()
     servo = rig.open()

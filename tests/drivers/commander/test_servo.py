@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +13,7 @@ from drivers.commander.lines import RESOLUTION, same, state, target
 from drivers.commander.servo import CommanderServo
 from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity
 from sim_backend.wire.commander.device import number
-from sim_backend.wire.commander.emulator import CommanderTiming, new_board
+from sim_backend.wire.commander.emulator import CommanderTiming
 from sim_backend.wire.faults import (
     CorruptReplies,
     DropReplies,
@@ -27,7 +22,6 @@ from sim_backend.wire.faults import (
     TruncateReplies,
 )
 from sim_backend.wire.loadcell.emulator import EmulatedLoadCell
-from sim_backend.wire.uart.pty_line import PtyLine
 
 from ...loopback import SerialLoopback
 
@@ -232,31 +226,3 @@ def test_a_board_that_streams_is_made_to_stop_even_after_a_restart(foc: Rig) -> 
     foc.wait(4.0)
     servo.disarm()
     assert off(foc)
-
-
-# -- torque off -----------------------------------------------------------------------------------------------------
-
-
-CRASHES = """
-import os, signal, sys
-from drivers.commander.servo import CommanderServo
-from drivers.commander.config import CommanderConfig
-from drivers.servo import Command, Limits, Quantity
-servo = CommanderServo(CommanderConfig(sys.argv[1], torque_constant=0.0145, watchdog=0.1, reply_timeout=0.04))
-servo.arm(Limits(torque=4e-3, velocity=400.0, temperature=80.0, position=(-3.0, 3.0)))
-servo.exchange(Command(Quantity.TORQUE, 2e-3))
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def test_a_killed_program_leaves_no_current_once_the_boards_watchdog_has_run_out(tmp_path: Path) -> None:
-    board = new_board(firmware="2.4-watchdog", timing=CommanderTiming(), now=time.monotonic())
-    board.watchdog = 1.0
-    with PtyLine(tmp_path / "tty", board) as line:
-        root = Path(__file__).parents[3]
-        done = subprocess.run([sys.executable, "-c", CRASHES, str(line.link)], cwd=root, check=False, timeout=60)
-        assert done.returncode == -signal.SIGKILL
-        with line.lock:
-            board.advance(line.now() + 1.05)
-            assert not board.motor.enabled
-            assert board.motor.torque == 0.0

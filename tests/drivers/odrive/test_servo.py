@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from drivers.servo import Command, DriverError, Limits, NoReply
+from drivers.servo import DriverError, Limits, NoReply
 from sim_backend.wire.odrive.device import OdriveDevice
 from sim_backend.wire.odrive.endpoints import flat_endpoints
 from sim_backend.wire.odrive.states import CLOSED_LOOP, IDLE
@@ -128,17 +128,6 @@ def test_a_parameter_that_is_refused_stops_the_arming_with_the_axis_idle(make_od
     with pytest.raises(DriverError, match="torque_soft_min"):
         servo.arm(LIMITS)
     assert rig.device.state == IDLE
-
-
-def test_temperature_and_voltage_come_with_the_ticks(make_odrive: Make) -> None:
-    rig = make_odrive()
-    servo = rig.open()
-    rig.device.motor.warm_to(41.5)
-    for _ in range(40):
-        rig.wait(2e-3)
-        sample = servo.exchange(Command.rest())
-    assert sample.temperature == pytest.approx(41.5, abs=0.1)
-    assert sample.voltage == 24.0
 
 
 def test_one_tick_is_five_frames_and_their_time_on_the_wire(make_odrive: Make) -> None:

@@ -276,14 +276,6 @@ def test_a_torque_off_is_requested_until_it_is_confirmed(bench: Bench) -> None:
     assert bench.servo.clock.t - 102.16 == pytest.approx(6 * 0.05)
 
 
-def test_ctrl_c_in_the_torque_off_does_not_skip_it(bench: Bench) -> None:
-    """Signals are a flag while a run listens for them; this is what holds where nobody listens."""
-    bench.servo.disarm_error, bench.servo.heard_after = KeyboardInterrupt(), 3
-    outcome = bench.run()
-    assert not bench.servo.armed
-    assert isinstance(outcome.error, KeyboardInterrupt)
-
-
 class Listed(list[float]):
     """Stands in for the set-points on disk."""
 
@@ -331,17 +323,6 @@ def test_ctrl_c_at_any_line_of_the_recorder_leaves_the_torque_off(
             break
     assert at > 200
     assert len(servo.driven) == 4
-
-
-@pytest.mark.parametrize("moment", [100.0, 100.05, 100.1499])
-def test_a_request_to_stop_before_the_start_drives_nothing(bench: Bench, moment: float) -> None:
-    """At rest the axis is read for 0.15 s; the motor must not be made live for somebody who message stop."""
-    bench.servo.clock.plans = [(moment, lambda: os.kill(os.getpid(), signal.SIGTERM))]
-    with bench.stop.listening():
-        outcome = bench.run()
-    assert (bench.servo.limits, bench.servo.driven) == (None, [])
-    assert (outcome.end_reason, outcome.signal) == ("stopped on request", signal.SIGTERM)
-    assert (outcome.error, outcome.samples) == (None, 0)
 
 
 @pytest.mark.parametrize("replies", [1, 16])

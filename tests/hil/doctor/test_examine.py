@@ -205,12 +205,15 @@ def test_a_latched_fault_is_reported_with_its_remedy(make_rig: Callable[..., Any
     assert "too hot" in message(checks, "drive")
 
 
-def test_a_link_that_loses_many_replies_is_an_error(make_rig: Callable[..., Any], examine_rig: Examine) -> None:
+def test_a_link_that_loses_many_replies_is_an_error_that_names_its_keys_in_the_stand_file(
+    make_rig: Callable[..., Any], examine_rig: Examine
+) -> None:
     rig = make_rig()
     rig.bus.faults.inject(DropReplies(after=20, count=40))
     checks = examine_rig(rig, move=False)
     assert verdicts(checks)["bus"] == "error"
     assert "40 lost" in message(checks, "bus")
+    assert message(checks, "bus").endswith("(in the stand file: dynamixel.baudrate, dynamixel.reply_timeout)")
 
 
 @pytest.mark.study
@@ -354,15 +357,6 @@ def test_a_latency_timer_is_set_where_the_user_may_and_named_where_not(tmp_path:
     (folder / "latency_timer").write_text("16")
     assert set_latency_timer("ttyUSB0", 1, tmp_path)
     assert latency_timer("ttyUSB0", tmp_path) == 1
-
-
-def test_an_error_names_the_keys_of_the_stand_file_that_it_depends_on(
-    make_rig: Callable[..., Any], examine_rig: Examine
-) -> None:
-    rig = make_rig()
-    rig.bus.faults.inject(DropReplies(after=20, count=40))
-    checks = examine_rig(rig, move=False)
-    assert message(checks, "bus").endswith("(in the stand file: dynamixel.baudrate, dynamixel.reply_timeout)")
 
 
 def test_a_can_stand_is_not_answered_with_serial_ports(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
