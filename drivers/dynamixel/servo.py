@@ -78,13 +78,6 @@ class DynamixelServo:
             self._series.choose_mode(self._table)
         self.info = self._describe(firmware, quantity)
 
-    @property
-    def device_time(self) -> float:
-        """The time of the last sample on the servo's own clock, in s since the first sample, with a resolution of 1
-        ms.
-        """
-        return self._tick.seconds
-
     def arm(self, limits: Limits) -> None:
         """Write mode, limits and watchdog into the servo, read them back, and switch the torque on at zero current.
 

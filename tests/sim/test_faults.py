@@ -53,13 +53,18 @@ def test_a_lost_link_fails_every_call_from_its_time_on(quiet: SimParameters, lim
         servo.arm(limits)
 
 
-def test_a_lost_link_leaves_the_torque_to_the_watchdog_and_closing_is_harmless(
+def test_a_lost_link_leaves_the_torque_to_the_watchdog_and_only_a_torque_off_says_so(
     quiet: SimParameters, limits: Limits
 ) -> None:
+    SimServo(quiet, seed=1, clock=VirtualClock(), faults=(LinkDrops(0.0),)).disarm()  # it was never armed
     servo = faulty(quiet, limits, LinkDrops(0.1))
     outcomes(servo, 0.11)
+    for _ in range(2):
+        with pytest.raises(LinkLost):
+            servo.disarm()
     servo.close()
     servo.close()
+    servo.disarm()
     assert servo.true_state().enabled
     servo.clock.sleep_until(0.1 + quiet.link.watchdog + 1e-3)
     assert not servo.true_state().enabled
@@ -133,21 +138,6 @@ def test_a_torque_off_that_is_not_heard_is_said_until_it_is(quiet: SimParameters
             refused += 1
     assert refused > 5
     assert servo.clock.now() == pytest.approx(0.15, abs=5e-3)
-    servo.disarm()
-
-
-def test_a_torque_off_over_a_lost_link_is_said_and_closing_still_is_not(quiet: SimParameters, limits: Limits) -> None:
-    servo = faulty(quiet, limits, LinkDrops(0.1))
-    outcomes(servo, 0.11)
-    for _ in range(2):
-        with pytest.raises(LinkLost):
-            servo.disarm()
-    servo.close()
-    servo.disarm()
-
-
-def test_a_servo_that_was_never_armed_has_nothing_to_turn_off(quiet: SimParameters) -> None:
-    servo = SimServo(quiet, seed=1, clock=VirtualClock(), faults=(LinkDrops(0.0),))
     servo.disarm()
 
 

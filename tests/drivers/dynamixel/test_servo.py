@@ -185,7 +185,7 @@ def test_the_servos_clock_is_unwrapped_over_the_end_of_its_count(rig: Rig) -> No
         rig.wait(1.0)
         sample = servo.exchange(Command.rest())
         assert not sample.status
-        samples.append((sample.t, servo.device_time))
+        samples.append((sample.t, servo._tick.seconds))
     (t0, d0), (t1, d1) = samples[0], samples[-1]
     assert d1 - d0 == pytest.approx(t1 - t0, abs=3e-3)
     assert d1 > 2.0 * WRAP * 1e-3

@@ -165,20 +165,6 @@ def test_a_link_that_cannot_be_opened_a_second_time_is_refused_before_anything_i
         Guardian(path, silence=LONG)
 
 
-def test_a_socket_of_datagrams_is_used_as_one() -> None:
-    with (
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there,
-        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as own,
-    ):
-        there.bind(("127.0.0.1", 0))
-        there.settimeout(LONG)
-        path = OffPath((OFF,), descriptor=own.fileno(), to=there.getsockname())
-        guardian = Guardian(path, silence=1e-3)
-        guardian.beat()
-        assert there.recv(100) == OFF
-        guardian.close()
-
-
 @contextlib.contextmanager
 def guarded_process(path: OffPath, folder: Path) -> Iterator[int]:
     """A process that has a guardian and gives no sign of life after the first."""
