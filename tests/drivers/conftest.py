@@ -63,6 +63,22 @@ from sim_backend.wire.uart.pty_line import PtyLine
 from ..loopback import CanLoopback, SerialLoopback
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+STAND = """
+[stand]
+backend = "dynamixel"
+motor_inertia = 3.2e-6
+motor_damping = 1.6e-6
+[limits]
+torque = 0.03
+deflection = 1.5
+velocity = 60.0
+temperature = 65.0
+[dynamixel]
+port = "{port}"
+model = "xl330-m288"
+reply_timeout = 0.3
+watchdog = 1.0
+"""
 
 
 @pytest.fixture(autouse=True)

@@ -10,22 +10,10 @@ import pytest
 
 from sim_backend.wire.dynamixel.emulator import serve
 
+from .conftest import STAND
+
 PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
 CONTRACT = Path(__file__).parent / "test_servo_contract.py"
-STAND = """
-[stand]
-backend = "dynamixel"
-[limits]
-torque = 0.03
-deflection = 1.5
-velocity = 40.0
-temperature = 65.0
-[dynamixel]
-port = "{port}"
-model = "xl330-m288"
-reply_timeout = 0.3
-watchdog = 1.0
-"""
 
 
 @pytest.mark.study

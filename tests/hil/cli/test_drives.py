@@ -30,24 +30,9 @@ from hil.stand.file import load
 from sim_backend.wire.catalogue import EMULATORS, Emulator, make
 from sim_backend.wire.dynamixel.emulator import serve
 
-pytestmark = pytest.mark.usefixtures("busy_machine")
+from ...drivers.conftest import STAND
 
-STAND = """
-[stand]
-backend = "dynamixel"
-motor_inertia = 3.2e-6
-motor_damping = 1.6e-6
-[limits]
-torque = 0.03
-deflection = 1.5
-velocity = 60.0
-temperature = 65.0
-[dynamixel]
-port = "{port}"
-model = "xl330-m288"
-reply_timeout = 0.3
-watchdog = 1.0
-"""
+pytestmark = pytest.mark.usefixtures("busy_machine")
 
 
 def stand_file(folder: Path, text: str = STAND) -> Path:
