@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -367,23 +368,33 @@ def in_position(rig: Rig) -> Servo:
     return servo
 
 
+RIGS: dict[str, tuple[Callable[[], Rig], Limits]] = {
+    "dynamixel": (new_rig, SERVO_LIMITS),
+    "dynamixel mx": (lambda: new_rig("mx-64"), MX_LIMITS),
+    "feetech hls": (feetech_rig, FEETECH_LIMITS),
+    "odrive 0.5.6": (lambda: odrive_rig("0.5.6"), ODRIVE_LIMITS),
+    "odrive 0.6.10": (odrive_rig, ODRIVE_LIMITS),
+    "mit ak80-9": (lambda: mit_rig("ak80-9"), MIT_LIMITS),
+    "mit dm-j4310": (mit_rig, MIT_LIMITS),
+    "robstride": (robstride_rig, MIT_LIMITS),
+    "moteus": (moteus_rig, ODRIVE_LIMITS),
+    "cia402 epos4": (cia402_rig, CIA402_LIMITS),
+    "cia402 epos2": (lambda: cia402_rig("epos2"), CIA402_LIMITS),
+    "cia402 generic": (lambda: cia402_rig("generic"), CIA402_LIMITS),
+    "commander": (new_foc, SIM_LIMITS),
+}
+
+
+def wired_drive(name: str) -> Wired:
+    make, limits = RIGS[name]
+    return wired_rig(make(), limits)
+
+
 IN_VIRTUAL_TIME: dict[str, Callable[[], Wired]] = {
-    "dynamixel": lambda: wired_rig(new_rig(), SERVO_LIMITS),
-    "dynamixel mx": lambda: wired_rig(new_rig("mx-64"), MX_LIMITS),
-    "feetech hls": lambda: wired_rig(feetech_rig(), FEETECH_LIMITS),
+    **{name: partial(wired_drive, name) for name in RIGS},
     "feetech sts in position": lambda: wired_rig(feetech_rig("sts3215"), STS_LIMITS, in_position),
     "feetech scs in position": lambda: wired_rig(feetech_rig("scs0009"), SCS_LIMITS, in_position),
     "dynamixel in position": lambda: wired_rig(new_rig(), SERVO_LIMITS, in_position),
-    "odrive 0.5.6": lambda: wired_rig(odrive_rig("0.5.6"), ODRIVE_LIMITS),
-    "odrive 0.6.10": lambda: wired_rig(odrive_rig("0.6.10"), ODRIVE_LIMITS),
-    "mit ak80-9": lambda: wired_rig(mit_rig("ak80-9"), MIT_LIMITS),
-    "mit dm-j4310": lambda: wired_rig(mit_rig("dm-j4310"), MIT_LIMITS),
-    "robstride": lambda: wired_rig(robstride_rig(), MIT_LIMITS),
-    "moteus": lambda: wired_rig(moteus_rig(), ODRIVE_LIMITS),
-    "cia402 epos4": lambda: wired_rig(cia402_rig("epos4"), CIA402_LIMITS),
-    "cia402 epos2": lambda: wired_rig(cia402_rig("epos2"), CIA402_LIMITS),
-    "cia402 generic": lambda: wired_rig(cia402_rig("generic"), CIA402_LIMITS),
-    "commander": lambda: wired_rig(new_foc(), SIM_LIMITS),
     "commander with a loadcell": lambda: wired_rig(new_foc(), SIM_LIMITS, with_loadcell),
 }
 

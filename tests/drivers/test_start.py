@@ -2,45 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
-from drivers.servo import Command, Limits, NoReply
+from drivers.servo import Command, NoReply
 from sim_backend.wire.faults import DropReplies
 
-from .conftest import (
-    CIA402_LIMITS,
-    MIT_LIMITS,
-    MX_LIMITS,
-    ODRIVE_LIMITS,
-    SERVO_LIMITS,
-    SIM_LIMITS,
-    cia402_rig,
-    feetech_rig,
-    mit_rig,
-    moteus_rig,
-    new_foc,
-    new_rig,
-    odrive_rig,
-    robstride_rig,
-)
+from .conftest import RIGS
 
-RIGS: dict[str, tuple[Callable[[], Any], Limits]] = {
-    "dynamixel": (new_rig, SERVO_LIMITS),
-    "dynamixel mx": (lambda: new_rig("mx-64"), MX_LIMITS),
-    "feetech": (feetech_rig, SERVO_LIMITS),
-    "odrive 0.5.6": (lambda: odrive_rig("0.5.6"), ODRIVE_LIMITS),
-    "odrive 0.6.10": (lambda: odrive_rig("0.6.10"), ODRIVE_LIMITS),
-    "mit ak80-9": (lambda: mit_rig("ak80-9"), MIT_LIMITS),
-    "mit dm-j4310": (lambda: mit_rig("dm-j4310"), MIT_LIMITS),
-    "robstride": (robstride_rig, MIT_LIMITS),
-    "moteus": (moteus_rig, ODRIVE_LIMITS),
-    "cia402 epos4": (lambda: cia402_rig("epos4"), CIA402_LIMITS),
-    "commander": (new_foc, SIM_LIMITS),
-}
 REPLIES, LOST = 1000, 0.02
 
 
@@ -56,6 +25,7 @@ def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: st
             rig.faults.inject(DropReplies(after=int(reply)))
         servo = rig.open()
         servo.arm(limits)
+        assert rig.motor.enabled
         lost += int(np.count_nonzero(drops < rig.faults.replies))
         servo.close()
 
