@@ -633,11 +633,12 @@ def tick(rig: Rig, drive: Drive, servo: Any) -> Sample:
     return sample
 
 
-def armed(rig: Rig, drive: Drive, **changes: Any) -> Any:
+def armed(make: Make, drive: Drive, **changes: Any) -> tuple[Rig, Any]:
+    rig = make(drive)
     servo = rig.open(**changes)
     servo.arm(drive.limits)
     tick(rig, drive, servo)
-    return servo
+    return rig, servo
 
 
 def samples(rig: Rig, drive: Drive, servo: Any, ticks: int) -> Iterator[Sample]:
@@ -753,8 +754,7 @@ def test_a_message_lost_at_any_point_of_the_arming_leaves_no_torque(make: Make, 
 
 @every()
 def test_silence_is_no_reply_within_its_deadline_and_costs_one_sample(make: Make, drive: Drive) -> None:
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     drive.quiet(rig)
     rig.wait(drive.period)
     rig.faults.inject(DropReplies(count=drive.silence))
@@ -769,8 +769,7 @@ def test_silence_is_no_reply_within_its_deadline_and_costs_one_sample(make: Make
 @every()
 def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(make: Make, drive: Drive) -> None:
     for damage in drive.damages:
-        rig = make(drive)
-        servo = armed(rig, drive)
+        rig, servo = armed(make, drive)
         fresh = drive.fresh(rig, servo)
         rig.faults.inject(damage)
         with pytest.raises((BadReply, NoReply)):
@@ -784,8 +783,7 @@ def test_a_damaged_reply_is_a_gap_and_the_next_one_is_good(make: Make, drive: Dr
 @every()
 def test_a_late_reply_is_never_taken_for_the_answer_to_the_next_request(make: Make, drive: Drive, nth: int) -> None:
     for late in drive.lates[::nth]:
-        rig = make(drive)
-        servo = armed(rig, drive, **dict(drive.patient))
+        rig, servo = armed(make, drive, **dict(drive.patient))
         fresh = drive.fresh(rig, servo)
         rig.faults.inject(DelayReplies(seconds=late, count=drive.late_count))
         accepted = [fresh(sample) for sample in samples(rig, drive, servo, 20)]
@@ -800,8 +798,7 @@ def test_a_late_reply_is_never_taken_for_the_answer_to_the_next_request(make: Ma
 def test_replies_that_carry_no_age_and_come_very_late_are_noticed_after_few_samples(
     make: Make, drive: Drive, late: float
 ) -> None:
-    rig = make(drive)
-    servo = armed(rig, drive, watchdog=1.0)
+    rig, servo = armed(make, drive, watchdog=1.0)
     fresh = drive.fresh(rig, servo)
     rig.faults.inject(DelayReplies(seconds=late, count=drive.ageless or 0))
     old, said = 0, ""
@@ -819,8 +816,7 @@ def test_replies_that_carry_no_age_and_come_very_late_are_noticed_after_few_samp
 
 @every("ageless")
 def test_a_second_drive_that_joins_the_bus_in_the_run_is_noticed(make: Make, drive: Drive) -> None:
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     rig.faults.inject(DuplicateReplies(count=50))
     tick(rig, drive, servo)
     with pytest.raises(BadReply, match="a second drive with the same id"):
@@ -835,8 +831,7 @@ def test_whatever_happens_to_the_messages_no_sample_is_old_and_torque_off_works(
     rng = np.random.default_rng(3)
     rounds, ticks, accepted = 10 // nth, 60, 0
     for _ in range(rounds):
-        rig = make(drive)
-        servo = armed(rig, drive, **dict(drive.patient))
+        rig, servo = armed(make, drive, **dict(drive.patient))
         fresh = drive.fresh(rig, servo)
         for kind in rng.choice(np.array(drive.random), size=4):
             rig.faults.inject(kind(after=int(rng.integers(60)), count=int(rng.integers(1, 4))))
@@ -852,8 +847,7 @@ def test_whatever_happens_to_the_messages_no_sample_is_old_and_torque_off_works(
 @every("running")
 def test_an_error_in_the_run_is_a_fault_with_its_code_and_the_torque_is_off(make: Make, drive: Drive) -> None:
     assert drive.running is not None
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     drive.running.happen(rig)
     ends_with(rig, drive, servo, drive.running.words, drive.running.code)
     assert not rig.motor.enabled
@@ -865,8 +859,7 @@ def test_an_error_in_the_run_is_a_fault_with_its_code_and_the_torque_is_off(make
 @every("hot")
 def test_overheating_turns_the_torque_off_and_is_reported(make: Make, drive: Drive) -> None:
     assert drive.hot is not None
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     drive.hot.happen(rig)
     assert not rig.motor.enabled
     assert rig.motor.torque == 0.0
@@ -877,8 +870,7 @@ def test_overheating_turns_the_torque_off_and_is_reported(make: Make, drive: Dri
 @every()
 def test_a_drive_that_restarts_in_the_run_is_a_fault_and_can_be_armed_again(make: Make, drive: Drive) -> None:
     for after in (0, 1, 2):
-        rig = make(drive)
-        servo = armed(rig, drive)
+        rig, servo = armed(make, drive)
         rig.faults.inject(Reboots(after=after))
         ends_with(rig, drive, servo, "restarted", drive.restarted)
         servo.disarm()
@@ -891,8 +883,7 @@ def test_a_drive_that_restarts_in_the_run_is_a_fault_and_can_be_armed_again(make
 
 @every()
 def test_a_restart_that_is_over_before_the_next_request_is_noticed(make: Make, drive: Drive) -> None:
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     drive.reboot(rig)
     rig.wait(drive.boot)
     ends_with(rig, drive, servo, "restarted", drive.restarted)
@@ -903,8 +894,7 @@ def test_a_restart_that_is_over_before_the_next_request_is_noticed(make: Make, d
 @every()
 def test_a_link_that_is_gone_ends_the_run_and_closing_twice_is_harmless(make: Make, drive: Drive) -> None:
     for gone in drive.links:
-        rig = make(drive)
-        servo = armed(rig, drive)
+        rig, servo = armed(make, drive)
         rig.faults.inject(gone)
         with pytest.raises(LinkLost, match="cut the"):
             list(samples(rig, drive, servo, 3))
@@ -923,8 +913,7 @@ def test_a_link_that_is_gone_ends_the_run_and_closing_twice_is_harmless(make: Ma
 def test_when_the_client_vanishes_the_watchdog_takes_the_torque_away(make: Make, drive: Drive) -> None:
     watch = drive.watch
     assert watch is not None
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     rig.wait(watch.on)
     assert rig.motor.torque > 0.0
     rig.wait(watch.off)
@@ -944,8 +933,7 @@ def test_when_the_client_vanishes_the_watchdog_takes_the_torque_away(make: Make,
 def test_a_torque_off_that_is_not_done_or_not_confirmed_is_an_error_that_says_to_cut_the_power(
     make: Make, drive: Drive
 ) -> None:
-    rig = make(drive)
-    servo = armed(rig, drive)
+    rig, servo = armed(make, drive)
     assert drive.ignore_off is not None
     drive.ignore_off(rig)
     with pytest.raises(DriverError, match=r"cut the \w+'s power|not confirmed"):
@@ -959,8 +947,7 @@ def test_a_torque_off_that_is_not_done_or_not_confirmed_is_an_error_that_says_to
 def test_torque_off_gets_through_though_messages_are_lost(make: Make, drive: Drive) -> None:
     for lost in drive.lost:
         for fault in (DropRequests(count=lost), DropReplies(count=lost)):
-            rig = make(drive)
-            servo = armed(rig, drive)
+            rig, servo = armed(make, drive)
             rig.faults.inject(fault)
             servo.disarm()
             assert drive.off(rig)
