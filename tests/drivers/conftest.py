@@ -133,6 +133,11 @@ class Rig:
         end = {"bus": self.port} if isinstance(self.port, CanLoopback) else {"port": self.port}
         return self.adapter(config, clock=self.clock, **end)
 
+    def armed(self, limits: Limits, **changes: Any) -> Any:
+        servo = self.open(**changes)
+        servo.arm(limits)
+        return servo
+
     @property
     def device(self) -> Any:
         drives = getattr(self.bus, "devices", None) or getattr(self.bus, "nodes", None) or [self.bus]

@@ -309,8 +309,7 @@ def moteus_left_on(rig: Rig) -> None:
 
 
 def cia402_left_on(rig: Rig) -> None:
-    servo = rig.open()
-    servo.arm(DRIVES["cia402 epos4"].limits)
+    rig.armed(DRIVES["cia402 epos4"].limits)
     assert rig.motor.enabled
 
 
@@ -635,8 +634,7 @@ def tick(rig: Rig, drive: Drive, servo: Any) -> Sample:
 
 def armed(make: Make, drive: Drive, **changes: Any) -> tuple[Rig, Any]:
     rig = make(drive)
-    servo = rig.open(**changes)
-    servo.arm(drive.limits)
+    servo = rig.armed(drive.limits, **changes)
     tick(rig, drive, servo)
     return rig, servo
 
@@ -738,8 +736,7 @@ def test_a_message_lost_at_any_point_of_the_arming_leaves_no_torque(make: Make, 
             rig = make(drive)
             rig.faults.inject(fault)
             try:
-                servo = rig.open()
-                servo.arm(drive.limits)
+                servo = rig.armed(drive.limits)
             except DriverError:
                 assert drive.off(rig)
             else:

@@ -99,8 +99,7 @@ def test_mangled_replies_raise_only_named_errors_and_the_torque_goes_off(
 
 
 def hold_against(rig: Any, kind: str, plan: list[tuple[str, int]]) -> None:
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     receive = rig.bus.receive
     last: list[bytes] = []
     change: Any = mangled_frames if kind in CAN else mangled

@@ -104,8 +104,7 @@ def test_a_second_drive_that_holds_torque_is_named_and_stays_as_it_is(pair: Pair
 
 def test_neither_the_drive_itself_nor_one_without_torque_is_named(pair: Pair) -> None:
     rig, second = with_second(pair)
-    servo = rig.open(**pair.silent)
-    servo.arm(pair.limits)
+    servo = rig.armed(pair.limits, **pair.silent)
     servo.fall_silent()
     assert rig.motor.enabled
     assert servo.neighbours() == []

@@ -23,8 +23,7 @@ def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: st
         drops = np.flatnonzero(rng.random(REPLIES) < LOST)
         for reply in drops:
             rig.faults.inject(DropReplies(after=int(reply)))
-        servo = rig.open()
-        servo.arm(limits)
+        servo = rig.armed(limits)
         assert rig.motor.enabled
         lost += int(np.count_nonzero(drops < rig.faults.replies))
         servo.close()
@@ -34,8 +33,7 @@ def test_every_start_succeeds_where_two_percent_of_the_replies_are_lost(name: st
 def test_in_a_run_a_lost_reply_is_a_gap_and_is_not_waited_for_again(name: str) -> None:
     make, limits = RIGS[name]
     rig = make()
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     servo.exchange(Command.rest())
     rig.faults.inject(DropReplies(count=10))
     begin = servo.clock.now()

@@ -61,8 +61,7 @@ DRIVES: dict[str, tuple[Callable[[], Rig], Any, float, float, float, float]] = {
 def test_torque_and_motion_have_the_stands_sign_and_are_si(name: str) -> None:
     make, limits, push, most, torque_count, angle_count = DRIVES[name]
     rig = make()
-    servo = rig.open(sign=-1)
-    servo.arm(limits)
+    servo = rig.armed(limits, sign=-1)
     for _ in range(500):  # until a heavy rotor rests
         rig.wait(2e-3)
         sample = servo.exchange(Command(Quantity.TORQUE, push))

@@ -20,8 +20,7 @@ PUSH = Command(Quantity.TORQUE, 0.2)
 def pushing(request: pytest.FixtureRequest) -> tuple[Any, Any]:
     make: Callable[..., Any] = request.getfixturevalue(f"make_{request.param}")
     rig = make()
-    servo = rig.open(watchdog=2.0)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, watchdog=2.0)
     for _ in range(5):
         rig.wait(2e-3)
         servo.exchange(PUSH)

@@ -26,8 +26,7 @@ MODELS = ["epos4", "epos2", "generic"]
 
 
 def armed(rig: Any, **changes: Any) -> Any:
-    servo = rig.open(**changes)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, **changes)
     rig.wait(2e-3)
     servo.exchange(PUSH)
     return servo

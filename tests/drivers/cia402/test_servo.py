@@ -86,8 +86,7 @@ def test_limits_are_written_into_an_epos4_and_put_back(make_cia402: Make) -> Non
     get = rig.device.objects.get
     rig.device.objects.put(0x60A9, 0, 0xFDB44700)
     rig.device.objects.put(0x6080, 0, 50_000_000)
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert get(0x3001, 2) == 2000  # 0.04 N m at 0.02 N m/A, in mA
     assert get(0x6080) == math.floor(60.0 / (2 * math.pi) * 60e3)  # in units of velocity
     assert get(0x3201, 4) == 800
@@ -182,8 +181,7 @@ def test_a_unit_of_velocity_that_is_not_known_is_refused(make_cia402: Make) -> N
 
 def test_a_clipped_set_point_is_marked_and_so_is_a_limit_that_acts_in_the_drive(make_cia402: Make) -> None:
     rig = make_cia402()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert servo.exchange(torque(0.05)).status & Status.SATURATED
     rig.wait(2e-3)
     assert not servo.exchange(torque(0.03)).status
@@ -194,8 +192,7 @@ def test_a_clipped_set_point_is_marked_and_so_is_a_limit_that_acts_in_the_drive(
 
 def test_one_tick_is_four_frames_and_their_time_on_the_wire(make_cia402: Make) -> None:
     rig = make_cia402()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     rig.wait(3e-3)
     before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.01))
@@ -209,8 +206,7 @@ def test_one_tick_is_four_frames_and_their_time_on_the_wire(make_cia402: Make) -
 
 def test_our_heartbeat_goes_four_times_in_the_watchdogs_time_and_no_more(make_cia402: Make) -> None:
     rig = make_cia402()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     before, begin = len(rig.port.sent), rig.clock.now()
     for _ in range(250):
         rig.wait(1e-3)
@@ -221,8 +217,7 @@ def test_our_heartbeat_goes_four_times_in_the_watchdogs_time_and_no_more(make_ci
 
 def test_without_a_watchdog_no_heartbeat_is_sent_and_none_watched(make_cia402: Make) -> None:
     rig = make_cia402()
-    servo = rig.open(watchdog=0.0)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, watchdog=0.0)
     servo.exchange(torque(0.01))
     rig.wait(5.0)
     assert rig.device.motor.enabled
@@ -248,8 +243,7 @@ def test_a_second_drive_on_the_bus_is_left_alone(make_cia402: Make) -> None:
     rig = make_cia402()
     other = Cia402Device("epos2", 2)
     rig.bus.nodes.append(other)
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     for _ in range(50):
         rig.wait(2e-3)
         servo.exchange(torque(0.01))

@@ -38,8 +38,7 @@ def foc(make_foc: Make) -> Rig:
 
 
 def armed(rig: Rig, **changes: Any) -> CommanderServo:
-    servo: CommanderServo = rig.open(**changes)
-    servo.arm(LIMITS)
+    servo: CommanderServo = rig.armed(LIMITS, **changes)
     rig.wait(4e-3)
     servo.exchange(PUSH)
     return servo

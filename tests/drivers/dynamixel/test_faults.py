@@ -34,8 +34,7 @@ def config(port: Path | str, **changes: Any) -> DynamixelConfig:
 
 
 def armed(rig: Rig, limits: Limits, **changes: Any) -> DynamixelServo:
-    servo: DynamixelServo = rig.open(**changes)
-    servo.arm(limits)
+    servo: DynamixelServo = rig.armed(limits, **changes)
     rig.wait(2e-3)
     servo.exchange(PUSH)
     return servo
@@ -170,8 +169,9 @@ def test_replies_that_need_stuffing_are_read_right(rig: Rig, counts: int) -> Non
 
 
 def test_set_points_that_need_stuffing_arrive(rig: Rig) -> None:
-    servo = rig.open(mode="extended-position")
-    servo.arm(Limits(torque=0.1, velocity=40.0, temperature=65.0, position=(-400.0, 400.0)))
+    servo = rig.armed(
+        Limits(torque=0.1, velocity=40.0, temperature=65.0, position=(-400.0, 400.0)), mode="extended-position"
+    )
     for counts in (-131073, -65539, -3, -1, 0xFDFF):
         servo.exchange(Command(Quantity.POSITION, counts * POSITION_LSB))
         assert rig.device.registers.get("goal_position") == counts

@@ -172,8 +172,7 @@ def test_driver_and_emulator_have_the_same_tables(model: str) -> None:
 def test_a_torque_reaches_the_motor_with_its_sign_to_half_a_count(make_rig: Make, value: float) -> None:
     rig = make_rig("mx-64")
     rig.bus.devices[0] = soft(stiffness=1.0)
-    servo = rig.open(torque_constant=6.0 / 4.1)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_constant=6.0 / 4.1)
     last = drive(rig, servo, torque(value), ticks=100)
     motor = rig.device.motor
     assert motor.torque == pytest.approx(value, abs=0.51 * servo.info.torque_lsb)
@@ -188,8 +187,7 @@ def test_a_torque_reaches_the_motor_with_its_sign_to_half_a_count(make_rig: Make
 def test_turns_are_counted_although_the_servo_does_not(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     rig.bus.devices[0] = soft()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     positions = [drive(rig, servo, torque(0.45), ticks=1).motor_position for _ in range(400)]
     assert max(positions) > TURN
     assert max(np.abs(np.diff(positions))) < 0.25 * TURN
@@ -215,8 +213,7 @@ def test_positions_are_followed_beyond_a_turn_from_wherever_it_stands(make_rig: 
 def test_the_limits_are_in_the_servo_before_current_flows_and_the_eeprom_is_put_back(make_rig: Make) -> None:
     rig = make_rig("mx-64")
     before = bytes(rig.device.registers.memory[:24])
-    servo = rig.open(mode="extended-position")
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, mode="extended-position")
     device = rig.device
     largest = max(servo.info.torque_lsb, 7.3 / 1023)
     assert device.get("torque_limit") == math.floor(0.5 / largest)
@@ -266,8 +263,7 @@ def test_a_mute_servo_that_takes_no_settings_is_named_with_its_register(make_rig
 @pytest.mark.parametrize("bits", [MX_HEAT, MX_OVERLOAD])
 def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: Make, bits: int) -> None:
     rig = make_rig("mx-64")
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     drive(rig, servo, torque(0.1), ticks=3)
     rig.device.put("shutdown", 36)
     rig.device.fail(bits)
@@ -284,6 +280,5 @@ def test_a_shutdown_ends_the_run_and_keeps_the_servo_from_being_armed(make_rig: 
 
 def test_older_firmware_has_no_tick_and_works_without(make_rig: Make) -> None:
     rig = make_rig("mx-64", firmware=36)
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert drive(rig, servo, torque(0.1)).status == 0

@@ -57,8 +57,7 @@ def test_the_torque_constant_is_what_the_manual_prints_where_it_prints_one(model
 
 
 def test_samples_in_si_agree_with_the_plant(rig: Rig, limits: Limits) -> None:
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     last = drive(rig, servo, torque(0.01), ticks=60)
     motor = rig.device.motor
     assert last.motor_position == pytest.approx(motor.position, abs=5 * POSITION_LSB)
@@ -71,24 +70,21 @@ def test_samples_in_si_agree_with_the_plant(rig: Rig, limits: Limits) -> None:
 
 
 def test_a_torque_set_point_reaches_the_motor_to_half_a_count(rig: Rig, limits: Limits) -> None:
-    servo = rig.open(torque_constant=0.52 / 1.47)
-    servo.arm(limits)
+    servo = rig.armed(limits, torque_constant=0.52 / 1.47)
     for value in (0.0101, -0.0203):
         drive(rig, servo, torque(value))
         assert rig.device.motor.torque == pytest.approx(value, abs=0.51 * servo.info.torque_lsb)
 
 
 def test_the_sign_turns_position_velocity_torque_and_set_point_round(rig: Rig, limits: Limits) -> None:
-    servo = rig.open(sign=-1)
-    servo.arm(limits)
+    servo = rig.armed(limits, sign=-1)
     last = drive(rig, servo, torque(0.01), ticks=8)
     assert rig.device.motor.position < 0.0
     assert min(last.motor_position, last.motor_velocity, last.motor_torque) > 0.0
 
 
 def test_negative_values_come_back_negative(rig: Rig, limits: Limits) -> None:
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     last = drive(rig, servo, torque(-0.01), ticks=8)
     assert max(last.motor_position, last.motor_velocity, last.motor_torque) < 0.0
 
@@ -96,8 +92,7 @@ def test_negative_values_come_back_negative(rig: Rig, limits: Limits) -> None:
 def test_the_limits_are_in_the_servo_before_current_flows_and_gone_after_close(rig: Rig, limits: Limits) -> None:
     registers = rig.device.registers
     before = bytes(registers.memory[:64])
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     assert registers.get("current_limit") == math.floor(0.03 / servo.info.torque_lsb)
     assert registers.get("temperature_limit") == 65
     assert registers.get("velocity_limit") == math.floor(40.0 / VELOCITY_LSB)
@@ -110,8 +105,7 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_gone_after_close(r
 
 
 def test_a_limit_above_what_the_servo_can_do_is_never_written(rig: Rig) -> None:
-    servo = rig.open()
-    servo.arm(Limits(torque=50.0, velocity=1e4, temperature=200.0, position=(-1.0, 1.0)))
+    rig.armed(Limits(torque=50.0, velocity=1e4, temperature=200.0, position=(-1.0, 1.0)))
     registers = rig.device.registers
     assert [registers.get(f"{n}_limit") for n in ("current", "velocity", "temperature")] == [1750, 2047, 70]
 
@@ -139,8 +133,11 @@ def test_position_modes_arm_without_a_jerk_and_follow(rig: Rig, limits: Limits, 
 
 
 def test_the_torque_limit_acts_in_current_based_position_mode(rig: Rig) -> None:
-    servo = rig.open(mode="current-based-position", torque_constant=0.52 / 1.47)
-    servo.arm(Limits(torque=3e-3, velocity=40.0, temperature=65.0, position=(-3.0, 3.0)))
+    servo = rig.armed(
+        Limits(torque=3e-3, velocity=40.0, temperature=65.0, position=(-3.0, 3.0)),
+        mode="current-based-position",
+        torque_constant=0.52 / 1.47,
+    )
     peak = 0.0
     for _ in range(200):
         drive(rig, servo, position(1.5), ticks=1)
@@ -158,8 +155,7 @@ def test_a_servo_without_current_measurement_reports_nan(make_rig: Make, limits:
 
 
 def test_one_tick_is_one_round_trip(rig: Rig, limits: Limits) -> None:
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     for _ in range(5):
         before, begin = len(rig.port.sent), rig.clock.now()
         servo.exchange(torque(0.001))
@@ -171,8 +167,7 @@ def test_one_tick_is_one_round_trip(rig: Rig, limits: Limits) -> None:
 def test_a_tick_that_has_not_moved_makes_the_sample_stale(make_rig: Make, limits: Limits) -> None:
     rig = make_rig(baudrate=4_000_000)
     rig.bus._timing = None  # a line so fast that two samples fall into one millisecond of the servo's clock
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     rig.wait(0.0015)
     statuses = [servo.exchange(torque(0.001)).status for _ in range(3)]
     assert statuses[-1] & Status.STALE

@@ -109,8 +109,7 @@ def test_a_goal_that_arrives_after_another_process_switched_off_makes_no_torque(
     make_feetech: Make, model: str, mode: str
 ) -> None:
     rig = make_feetech(model)
-    servo = rig.open(mode=mode)
-    servo.arm(Limits(0.2, 30.0, 60.0, (-20.0, 20.0)))
+    servo = rig.armed(Limits(0.2, 30.0, 60.0, (-20.0, 20.0)), mode=mode)
     late = servo._goal(servo._gate.admit(Command(Quantity.TORQUE if mode == "torque" else Quantity.POSITION, 0.1)))[0]
     for frame in servo.off_path().off:
         rig.bus.receive(frame, rig.clock.now())

@@ -57,8 +57,7 @@ def test_position_mode_arms_without_a_jerk_and_follows(make_feetech: Make, model
 
 def test_samples_in_si_agree_with_the_plant(make_feetech: Make) -> None:
     rig = make_feetech("sts3215")
-    servo = rig.open(torque_constant=2.94 / 2.7)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_constant=2.94 / 2.7)
     last = drive(rig, servo, position(0.5), ticks=12)
     motor = rig.motor
     assert last.motor_position == pytest.approx(motor.position, abs=0.3)
@@ -71,8 +70,7 @@ def test_samples_in_si_agree_with_the_plant(make_feetech: Make) -> None:
 
 def test_a_torque_set_point_of_an_hls_reaches_the_motor_to_half_a_count(make_feetech: Make) -> None:
     rig = make_feetech("hls3930m")
-    servo = rig.open(torque_constant=3.43 / 2.8)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_constant=3.43 / 2.8)
     for value in (0.031, -0.052):
         last = drive(rig, servo, torque(value))
         assert rig.motor.torque == pytest.approx(value, abs=0.51 * servo.info.torque_lsb)
@@ -81,8 +79,7 @@ def test_a_torque_set_point_of_an_hls_reaches_the_motor_to_half_a_count(make_fee
 
 def test_the_sign_turns_position_velocity_torque_and_set_point_round(make_feetech: Make) -> None:
     rig = make_feetech("hls3930m")
-    servo = rig.open(sign=-1)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, sign=-1)
     last = drive(rig, servo, torque(0.05), ticks=8)
     assert rig.motor.position < 0.0
     assert min(last.motor_position, last.motor_velocity, last.motor_torque) > 0.0
@@ -90,8 +87,7 @@ def test_the_sign_turns_position_velocity_torque_and_set_point_round(make_feetec
 
 def test_a_position_that_wraps_within_a_turn_is_counted_on(make_feetech: Make) -> None:
     rig = make_feetech("hls3930m")
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     for value in (0.1, -0.1):
         seen = [drive(rig, servo, torque(value), ticks=1) for _ in range(200)]
         assert abs(seen[-1].motor_position) > math.pi  # beyond half a turn from the middle: the servo's own wraps
@@ -104,8 +100,7 @@ def test_a_goal_beyond_the_servos_own_limits_is_clipped_and_marked_and_multi_tur
     make_feetech: Make,
 ) -> None:
     rig = make_feetech("sts3215")  # at 0, the lower end of its single turn
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert drive(rig, servo, position(-0.5)).status & Status.SATURATED
     assert rig.device.get("goal_position") == 0
     servo.disarm()
@@ -132,8 +127,7 @@ def test_the_limits_are_in_the_servo_before_current_flows_and_gone_after_close(m
         rig = make_feetech(model)
         device = rig.device
         before, flash = {item.name: device.get(item.name) for item in device.model.items}, device.eeprom()
-        servo = rig.open()
-        servo.arm(LIMITS)
+        servo = rig.armed(LIMITS)
         assert device.get(name) == counts
         assert device.get("temperature_limit") == 60
         unit = 1 if model == "sts3215" else 50  # steps/s
@@ -155,8 +149,7 @@ def test_a_limit_above_what_the_servo_can_do_is_never_written(make_feetech: Make
 @pytest.mark.parametrize("model", sorted(models()))
 def test_nothing_but_0_and_1_is_ever_written_to_torque_enable(make_feetech: Make, model: str) -> None:
     rig = make_feetech(model)
-    servo = rig.open(torque_constant=None if model == "scs0009" else 1.0, mode="position")
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_constant=None if model == "scs0009" else 1.0, mode="position")
     drive(rig, servo, Command.rest())
     rig.device.life.ignores_off = True
     with pytest.raises(DriverError, match="cut the drive's power"):
@@ -172,8 +165,7 @@ def test_a_torque_off_that_is_not_done_is_followed_by_a_torque_limit_of_zero_tha
     make_feetech: Make,
 ) -> None:
     rig = make_feetech("sts3215")
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     drive(rig, servo, position(0.5), ticks=200)
     assert rig.motor.torque > 0.0
     rig.device.life.ignores_off = True
@@ -217,8 +209,7 @@ def test_without_a_torque_constant_an_sts_reports_no_torque(make_feetech: Make) 
 
 def test_an_overload_in_the_run_is_a_fault_though_the_servo_goes_on_with_less(make_feetech: Make) -> None:
     rig = make_feetech("sts3215")
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     rig.device.fail(32)
     with pytest.raises(DeviceFault, match="load was too high") as caught:
         servo.exchange(Command.rest())

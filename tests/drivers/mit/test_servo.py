@@ -64,8 +64,7 @@ def test_zero_torque_is_half_a_count_since_zero_lies_between_two() -> None:
 
 def test_a_scale_of_the_torque_acts_both_ways(make_mit: Make) -> None:
     rig = make_mit("ak80-9")
-    servo = rig.open(torque_scale=0.75)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_scale=0.75)
     for _ in range(100):
         rig.wait(2e-3)
         sample = servo.exchange(torque(0.75))
@@ -77,8 +76,7 @@ def test_a_scale_of_the_torque_acts_both_ways(make_mit: Make) -> None:
 def test_what_a_damiao_has_registers_for_is_written_read_back_and_put_back(make_mit: Make) -> None:
     rig = make_mit()
     rig.device.values[10] = 2.0  # an earlier program left it in another mode
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     values = rig.device.values
     assert (values[10], values[2], values[6], values[9]) == (1.0, pytest.approx(85.0), pytest.approx(20.0), 2000.0)
     servo.close()
@@ -87,8 +85,7 @@ def test_what_a_damiao_has_registers_for_is_written_read_back_and_put_back(make_
 
 def test_limits_of_a_damiao_are_never_raised(make_mit: Make) -> None:
     rig = make_mit()
-    servo = rig.open()
-    servo.arm(Limits(torque=2.0, velocity=99.0, temperature=150.0, position=(-3.0, 3.0)))
+    rig.armed(Limits(torque=2.0, velocity=99.0, temperature=150.0, position=(-3.0, 3.0)))
     assert (rig.device.values[2], rig.device.values[6]) == (120.0, 30.0)
 
 
@@ -110,8 +107,7 @@ def test_temperature_and_its_offset(make_mit: Make) -> None:
 
 def test_one_tick_is_one_frame_each_way(make_mit: Make) -> None:
     rig = make_mit()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.5))
     assert len(rig.port.sent) - before == 1

@@ -95,8 +95,7 @@ def test_position_mode_follows_its_set_point_and_rests_there(make_moteus: Make) 
     rig = make_moteus()
     rig.device.console.values["servo.pid_position.kp"] = 1000.0
     rig.device.console.values["servo.pid_position.kd"] = 3.0
-    servo = rig.open(mode="position", sign=-1)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, mode="position", sign=-1)
     for _ in range(400):
         rig.wait(2e-3)
         servo.exchange(Command(Quantity.POSITION, 0.15))
@@ -112,8 +111,7 @@ def test_position_mode_follows_its_set_point_and_rests_there(make_moteus: Make) 
 def test_limits_are_written_read_back_and_put_back(make_moteus: Make) -> None:
     rig = make_moteus()
     values = rig.device.console.values
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert values["servo.max_velocity"] == pytest.approx(60.0 / (2 * math.pi))
     assert values["servo.fault_temperature"] == 70.0
     assert values["servo.motor_fault_temperature"] == 70.0
@@ -135,8 +133,7 @@ def test_limits_are_never_raised(make_moteus: Make) -> None:
 
 def test_a_limit_that_acts_is_marked(make_moteus: Make) -> None:
     rig = make_moteus()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     assert servo.exchange(torque(0.5)).status & Status.SATURATED
     rig.device.console.values["servo.max_current_A"] = 4.0
     rig.wait(2e-3)
@@ -147,8 +144,7 @@ def test_a_limit_that_acts_is_marked(make_moteus: Make) -> None:
 
 def test_one_tick_is_one_frame_each_way(make_moteus: Make) -> None:
     rig = make_moteus()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     before, begin = len(rig.port.sent), rig.clock.now()
     sample = servo.exchange(torque(0.1))
     assert len(rig.port.sent) - before == 1
@@ -165,6 +161,5 @@ def test_it_reports_firmware_and_serial_number(make_moteus: Make) -> None:
 
 def test_a_controller_with_a_high_id_receives_extended_frames(make_moteus: Make) -> None:
     rig = make_moteus(ident=100)
-    servo = rig.open(id=100, source=7)
-    servo.arm(LIMITS)
+    rig.armed(LIMITS, id=100, source=7)
     assert rig.device.mode == POSITION

@@ -18,8 +18,7 @@ FIRMWARES = ["0.5.6", "0.6.10"]
 
 
 def armed(rig: Any, **changes: Any) -> Any:
-    servo = rig.open(**changes)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, **changes)
     rig.wait(2e-3)
     servo.exchange(PUSH)
     return servo

@@ -67,8 +67,7 @@ def test_with_the_vendors_endpoint_file_limits_and_watchdog_are_written_read_bac
 ) -> None:
     rig = make_odrive()
     get = rig.device.endpoints.get
-    servo = rig.open(endpoints=endpoints)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, endpoints=endpoints)
     assert get("axis0.config.torque_soft_max") == pytest.approx(0.4)
     assert get("axis0.config.torque_soft_min") == pytest.approx(-0.4)
     assert get("axis0.motor.motor_thermistor.config.temp_limit_upper") == 80.0
@@ -132,8 +131,7 @@ def test_a_parameter_that_is_refused_stops_the_arming_with_the_axis_idle(make_od
 
 def test_one_tick_is_five_frames_and_their_time_on_the_wire(make_odrive: Make) -> None:
     rig = make_odrive()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     rig.wait(3e-3)
     before, begin = len(rig.port.sent), rig.clock.now()
     servo.exchange(torque(0.1))
@@ -152,8 +150,7 @@ def test_an_axis_with_a_heartbeat_of_half_a_second_is_proven_off_and_one_of_1_s_
     with pytest.raises(DriverError, match=r"a heartbeat every 1 s.+heartbeat_msg_rate_ms = 100"):
         rig.open()
     rig.device.endpoints.put("axis0.config.can.heartbeat_msg_rate_ms", 500.0)
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     for _ in range(20):
         rig.wait(2e-3)
         servo.exchange(torque(0.1))

@@ -68,8 +68,7 @@ def test_the_range_of_the_angle_follows_the_firmware() -> None:
 def test_what_the_motor_has_parameters_for_is_written_read_back_and_put_back(make_robstride: Make) -> None:
     rig = make_robstride()
     rig.device.values |= {"run_mode": 5.0, "limit_torque": 3.0, "canTimeout": 1.0}
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     names = ("run_mode", "limit_torque", "canTimeout")
     assert [rig.device.values[name] for name in names] == [0.0, 2.0, 2000.0]
     servo.close()
@@ -78,16 +77,14 @@ def test_what_the_motor_has_parameters_for_is_written_read_back_and_put_back(mak
 
 def test_a_watchdog_of_zero_leaves_the_motors_own_and_says_so(make_robstride: Make) -> None:
     rig = make_robstride()
-    servo = rig.open(watchdog=0.0)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, watchdog=0.0)
     assert rig.device.values["canTimeout"] == 0.0
     assert (servo.info.watchdog, servo.info.watchdog_remedy) == (0.0, "set robstride.watchdog = 0.1")
 
 
 def test_a_limit_of_the_motor_does_not_bind_in_operation_mode_and_ours_does(make_robstride: Make) -> None:
     rig = make_robstride()
-    servo = rig.open(torque_scale=0.5)
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS, torque_scale=0.5)
     assert servo.exchange(torque(1e9)).status
     assert rig.motor.demand == pytest.approx(4.0, abs=1e-3)
 
@@ -159,8 +156,7 @@ def test_a_fault_latched_before_it_is_opened_keeps_it_from_arming(make_robstride
 
 def test_a_fault_frame_alone_is_a_fault(make_robstride: Make) -> None:
     rig = make_robstride()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     rig.device.fail(512)  # no bit of a feedback tells it
     rig.wait(2e-3)
     with pytest.raises(DeviceFault, match="angle at power-on could not be found") as caught:
@@ -180,8 +176,7 @@ def test_a_second_host_is_noticed_by_its_commands_and_by_its_replies(
     put(rig, kind, field, to)
     with pytest.raises(DeviceFault, match=rf"another program \({words}\) commands motor 1"):
         rig.open()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     put(rig, 1, frames.Codec(12.5, 33.0, 14.0).torque.of(0.0), 1)  # the guardian's
     servo.exchange(torque(0.1))
     put(rig, kind, field, to)
@@ -193,8 +188,7 @@ def test_a_second_host_is_noticed_by_its_commands_and_by_its_replies(
 
 def test_frames_of_other_motors_and_hosts_disturb_nothing(make_robstride: Make) -> None:
     rig = make_robstride()
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     for kind, field, to in ((2, 2, 0xFD), (2, 2, 0xAA), (3, 0xAA, 2), (17, 2, 0xFD), (21, 2, 0xFD), (24, 1, 0xFD)):
         put(rig, kind, field, to)
         assert servo.exchange(torque(0.1)).motor_torque is not None
@@ -224,8 +218,7 @@ def test_reports_that_another_program_asked_for_are_ended(make_robstride: Make) 
     rig = make_robstride()
     rig.device.handle(CanFrame(0x1800FD01, bytes([1, 2, 3, 4, 5, 6, 1, 8]), extended=True), 0.0)
     rig.wait(0.05)
-    servo = rig.open()
-    servo.arm(LIMITS)
+    servo = rig.armed(LIMITS)
     rig.wait(0.05)
     assert rig.device.due() == float("inf")
     servo.exchange(torque(0.1))

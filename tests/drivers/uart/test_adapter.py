@@ -54,8 +54,7 @@ def test_replies_that_the_adapter_holds_back_are_recognised_and_a_longer_timeout
     rig, limits = rig_with(name, usb_latency=HOLDS)
     with pytest.raises(DriverError, match=r"1[56][.\d]* ms late, and reply_timeout is (8|10) ms.*raise reply_timeout"):
         rig.open()
-    servo = rig.open(reply_timeout=0.03)
-    servo.arm(limits)
+    servo = rig.armed(limits, reply_timeout=0.03)
     rig.faults.inject(DropReplies(count=3))  # a board's three lines
     with pytest.raises(NoReply):
         servo.exchange(Command(Quantity.TORQUE, 0.0))
@@ -70,8 +69,7 @@ def test_replies_that_the_adapter_holds_back_are_recognised_and_a_longer_timeout
 @pytest.mark.parametrize("latency", [1e-3, HOLDS])
 def test_what_the_adapter_returns_of_our_own_is_read_past(name: str, latency: float) -> None:
     rig, limits = rig_with(name, usb_latency=latency, echo=True)
-    servo = rig.open(reply_timeout=0.03)
-    servo.arm(limits)
+    servo = rig.armed(limits, reply_timeout=0.03)
     push = Command(Quantity.TORQUE, 0.5 * limits.torque)
     for _ in range(20):
         sample = servo.exchange(push)
@@ -88,8 +86,7 @@ def test_what_the_adapter_returns_of_our_own_is_read_past(name: str, latency: fl
 def test_what_a_simplefoc_board_returns_of_our_own_confirms_nothing() -> None:
     rig, limits = rig_with("commander")
     rig.bus.device.echo = True
-    servo = rig.open()
-    servo.arm(limits)
+    servo = rig.armed(limits)
     for value in (1e-3, -2e-3):
         for _ in range(20):
             sample = servo.exchange(Command(Quantity.TORQUE, value))
