@@ -1,6 +1,7 @@
-"""Draw the README's picture of the report anew: `python benchmarks/report_picture.py` (needs chromium).
+"""Draw the README's pictures of the reports anew: `python benchmarks/report_picture.py` (needs chromium).
 
-The commands are those of the README's transcript; the picture is what a browser shows of their report.
+The commands are those of the README's transcript, and the demonstration of a hand; a picture is what a browser shows of
+their report.
 """
 
 from __future__ import annotations
@@ -17,24 +18,25 @@ from pathlib import Path
 from hil.cli.app import run
 
 ROOT = Path(__file__).parent.parent
-PICTURE = ROOT / "docs" / "pictures" / "report.png"
-SIZE = "1000,1250"  # pixels
+PICTURES = ROOT / "docs" / "pictures"
+SIZES = {"report.png": "1000,1250", "hand.png": "1000,780"}  # pixels
 
 
 def main() -> None:
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         sys.exit("there is no chromium: apt-get install chromium")
-    commands = re.findall(r"^\$ hil ((?:record|identify) .+)$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        for command in commands:
-            sys.argv = ["hil", *shlex.split(command)]  # the page names the command that made it
-            run(sys.argv[1:])
-        page = next(Path(folder).glob("*.html"))
-        words = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZE}", f"--screenshot={PICTURE}"]
-        words += [f"--user-data-dir={folder}/profile", page.as_uri()]
-        subprocess.run([browser, *words], check=True, capture_output=True)
+    transcript = re.findall(r"^\$ hil ((?:record|identify) .+)$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE)
+    for picture, commands in {"report.png": transcript, "hand.png": ["demo --hand"]}.items():
+        with tempfile.TemporaryDirectory() as folder:
+            os.chdir(folder)
+            for command in commands:
+                sys.argv = ["hil", *shlex.split(command)]  # the page names the command that made it
+                run(sys.argv[1:])
+            page = next(Path(folder).rglob("*.html"))
+            words = ["--headless", "--no-sandbox", "--hide-scrollbars", f"--window-size={SIZES[picture]}"]
+            words += [f"--screenshot={PICTURES / picture}", f"--user-data-dir={folder}/profile", page.as_uri()]
+            subprocess.run([browser, *words], check=True, capture_output=True)
 
 
 if __name__ == "__main__":
