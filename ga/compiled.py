@@ -32,12 +32,13 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from functools import cache, partial
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, ParamSpec, TypeVar, cast
 
 from ga import first_run
 from ga.collector import uncollected
-from ga.own_numba import appdirs, event, global_compiler_lock, numba
+from ga.own_numba import appdirs, event, global_compiler_lock, numba, overload, register_jitable
 
 if sys.platform != "win32":
     import fcntl
@@ -52,6 +53,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_CALLED: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 _numba: Any = numba.config  # set from the environment by name, unseen by a type checker
 _appdirs: Any = appdirs
 _log: Final = logging.getLogger(__name__)
@@ -90,6 +92,60 @@ def compiled_within(function: Callable[P, R]) -> Callable[P, R]:
     begins with an underscore must not be called from Python.
     """
     return _compiled(function, **_no_refcount(function), inline="always")
+
+
+def compiled_too(function: Callable[P, R]) -> Callable[P, R]:
+    """Return `function` itself, which can be called from Python, and from compiled functions."""
+    register_jitable(**_CALLED)(function)
+    return function
+
+
+def compiled_as(function: Callable[P, R]) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Decorate what takes the place of the Python function `function` where a compiled function calls it.
+
+    Both must return the same to the last bit: one is written for NumPy, the other for the compiler.
+    """
+
+    def taken(other: Callable[P, R]) -> Callable[P, R]:
+        def chosen(*_: Any) -> Callable[P, R]:
+            return other
+
+        vars(chosen)["__signature__"] = signature(function)  # numba compares it
+        overload(function, jit_options=_CALLED)(chosen)  # type: ignore[arg-type]  # options that numba does not list
+        return other
+
+    return taken
+
+
+class compiled_when_worth(Generic[P, R]):  # noqa: N801 - used as a decorator
+    """Decorate a Python function that is also compiled, without reference counting, once that is worth its time.
+
+    Machine code that an earlier process kept is used at once. Otherwise Python runs it until it has taken as long as
+    compiling would, because a first result must not wait for the compiler. Both return the same to the last bit. The
+    types of the arguments must always be the same.
+    """
+
+    worth: ClassVar[float] = 2.0
+    """The processor time, s, that a function takes in Python before it is compiled, about what compiling takes."""
+
+    def __init__(self, function: Callable[P, R]) -> None:
+        self._in_python, self._in_machine_code = function, _compiled(function, _nrt=False)
+        self._spent = self.worth if self._is_kept() else 0.0
+
+    def _is_kept(self) -> bool:
+        folder = cast("Any", self._in_machine_code).stats.cache_path
+        name = f"{self._in_python.__module__.rpartition('.')[2]}.{self._in_python.__qualname__}-*.nbc"
+        return folder is not None and any(Path(folder).glob(name))
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function."""
+        if self._spent >= self.worth:
+            return self._in_machine_code(*args, **kwargs)
+        began = time.thread_time()
+        try:
+            return self._in_python(*args, **kwargs)
+        finally:
+            self._spent += time.thread_time() - began
 
 
 def _no_refcount(function: Callable[P, R]) -> dict[str, bool]:

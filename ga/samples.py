@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from ga.compiled import compiled_too, compiled_within
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Matrix = NDArray[np.float64]
 
 RESOLUTION: Final = 1e-6
 """The fraction of the mean absolute torque below which a fitness is treated as zero in relative comparisons.
@@ -19,6 +24,9 @@ Noise-free data have an optimum of zero, to which nothing is relatively close.
 
 LANES: Final = 128
 """The number of samples in a block, which is the number of partial sums."""
+
+AT_ONCE: Final = LANES << 6
+"""The number of rows that are computed at a time: their working space stays in the processor's cache."""
 
 
 def check(columns: NDArray[np.float64], torque: NDArray[np.float64]) -> None:
@@ -44,3 +52,43 @@ def in_lanes(*rows: NDArray[np.float64]) -> NDArray[np.float64]:
         row[:count] = values
     padded[:, count:] = 0.0
     return padded.reshape(len(rows), -1, LANES)
+
+
+@compiled_too
+def in_order(lanes: NDArray[np.float64]) -> float:
+    """Return the sum of the lanes (128,), added one after another: the same to the last bit on every machine."""
+    total = 0.0
+    for value in lanes:
+        total += value
+    return total
+
+
+@compiled_within
+def load_block(columns: Matrix, torque: Vector, centre: Vector, block: Matrix) -> None:
+    """Copy up to 128 rows to the lanes of a block, filled up with zeros: p columns, then the residuals at the centre
+    (p,), N m.
+    """
+    residual = block[centre.size]
+    _load_lanes(torque, residual)
+    for k in range(centre.size):
+        column, gene = block[k], centre[k]
+        _load_lanes(columns[:, k], column)
+        for i in range(LANES):
+            residual[i] -= gene * column[i]
+
+
+@compiled_within
+def _load_lanes(values: Vector, lanes: Vector) -> None:
+    for i in range(values.size):
+        lanes[i] = values[i]
+    for i in range(values.size, LANES):
+        lanes[i] = 0.0
+
+
+@compiled_within
+def carry(part: Matrix, total: Matrix) -> None:
+    """Add the sums in lanes of some blocks (terms, 128) to the total, and set them to zero."""
+    for t in range(len(total)):
+        for i in range(LANES):
+            total[t, i] += part[t, i]
+            part[t, i] = 0.0

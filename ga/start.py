@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.samples import LANES, RESOLUTION, in_lanes
+from ga.compiled import compiled_as, compiled_too, compiled_when_worth, compiled_within
+from ga.samples import AT_ONCE, LANES, RESOLUTION, carry, in_lanes, in_order, load_block
 
 if TYPE_CHECKING:
     from ga.bounds import Bounds
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-
-_AT_ONCE: Final = 64
-"""Rows of 128 lanes that are computed at a time: the working space stays in the processor's cache."""
 
 _ERRORS: Final = 4.0
 """Half the cube's width in standard errors."""
@@ -42,6 +40,13 @@ _PIVOT: Final = 1e-10
 """The fraction of a column's squared length, independent of the other columns, below which the column is treated as a
 combination of these.
 """
+
+_SOME: Final = 128
+_PART: Final = 16
+"""The first estimates use about `_SOME` blocks of rows, or one block in `_PART` if that is more."""
+
+_GOLDEN: Final = 0.6180339887498949
+"""Multiples of it are spread evenly over the fractions of one, and do not repeat."""
 
 _SMOOTH: Final = 0.1
 """The smallest size of a residual that is used in the weights, as a fraction of the root mean square residual."""
@@ -67,17 +72,34 @@ def start_of(columns: Matrix, torque: Vector, bounds: Bounds) -> Start | None:
     its centre must be inside, and the cube must be smaller than the bounds.
     """
     p = columns.shape[1]
-    work = _Work(np.zeros(p), *(np.zeros((p, p)) for _ in range(3)), *(np.zeros(p) for _ in range(2)))
+    columns, torque = (np.require(array, np.float64, ["C", "W"]) for array in (columns, torque))  # as is compiled for
+    work = _work_for(p)
     with np.errstate(all="ignore"):  # data that are not finite
-        reach = _locate(columns, torque, work)
+        reach = locate(columns, torque, *_some_of(columns, torque), work)
     if not 0.0 < reach < np.inf:
         return None
     return within(Start(work.centre, work.forward, work.backward, reach), bounds)
 
 
+def _some_of(columns: Matrix, torque: Vector) -> tuple[Matrix, Vector]:
+    """Return the rows from which the first estimates are computed: of many rows a part, one block out of every few.
+
+    The blocks are at irregular distances, because a fixed stride could beat with a periodic excitation.
+    """
+    blocks = len(torque) // LANES
+    step = blocks // max(_SOME, blocks // _PART, 1)
+    if step < 2:
+        return columns, torque
+    first = np.arange(blocks // step)
+    drawn = first * step + (step * (first * _GOLDEN % 1.0)).astype(np.int64)
+    some = [array[: blocks * LANES].reshape(blocks, -1)[drawn] for array in (columns, torque)]
+    return some[0].reshape(-1, columns.shape[1]), some[1].reshape(-1)
+
+
 class _Work(NamedTuple):
-    """Working space for a start: its centre and coordinates, and the normal equations gram (p, p) step (p,) = pull
-    (p,).
+    """Working space for a start: its centre and coordinates, the normal equations gram (p, p) step (p,) = pull (p,),
+    and in lanes the columns, the residuals and the weights of a block (p + 2, 128), the sums of some blocks and of all
+    (terms, 128).
     """
 
     centre: Vector
@@ -86,6 +108,15 @@ class _Work(NamedTuple):
     gram: Matrix
     pull: Vector
     step: Vector
+    block: Matrix
+    part: Matrix
+    total: Matrix
+
+
+def _work_for(p: int) -> _Work:
+    terms = p * (p + 1) // 2 + p + 2
+    shapes = ((p,), (p, p), (p, p), (p, p), (p,), (p,), (p + 2, LANES), (terms, LANES), (terms, LANES))
+    return _Work(*(np.zeros(shape) for shape in shapes))
 
 
 def within(start: Start, bounds: Bounds) -> Start | None:
@@ -95,11 +126,11 @@ def within(start: Start, bounds: Bounds) -> Start | None:
     return start if inside and bool(np.all(2.0 * extent <= bounds.high - bounds.low)) else None
 
 
-def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
+@compiled_when_worth
+def locate(columns: Matrix, torque: Vector, some_columns: Matrix, some_torque: Vector, work: _Work) -> float:
     """Fill in centre and coordinates of the start; return half the cube's width, 0 if there is no start."""
-    n, p = columns.shape
-    rows = in_lanes(torque, *columns.T)
-    size, power, _ = _equations(rows, work, np.inf)
+    n, p = some_columns.shape
+    size, power, _ = _equations(some_columns, some_torque, work, np.inf)
     if not _factor(work, n) or not _solve(work):
         return 0.0
     for k in range(p):
@@ -108,9 +139,11 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     least = RESOLUTION * size / n
     smooth = max(_SMOOTH * np.sqrt(max(power, 0.0) / n), least, 1e-300)
     moved = error = 0.0
-    for _ in range(2):
-        total, _, near = _equations(rows, work, smooth)
-        error = max(0.5 * np.pi * total / n, _NEAR * smooth / max((near - rows[0].size + n) / n, _FEWEST)) / np.sqrt(n)
+    for last in range(2):
+        if last:
+            n, some_columns, some_torque = len(torque), columns, torque
+        total, _, near = _equations(some_columns, some_torque, work, smooth)
+        error = max(0.5 * np.pi * total / n, _NEAR * smooth / max(near / n, _FEWEST)) / np.sqrt(n)
         if not _solve(work):
             return 0.0
         smooth, moved = max(_SMOOTH * total / n, least, 1e-300), 0.0
@@ -124,41 +157,97 @@ def _locate(columns: Matrix, torque: Vector, work: _Work) -> float:
     return float(max(_ERRORS * error + moved, least))
 
 
-def _equations(rows: NDArray[np.float64], work: _Work, smooth: float) -> tuple[float, float, int]:
+def _equations(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
     """Fill in the normal equations of the residuals at the centre, each row weighted by one over its residual's size.
 
-    rows (p + 1, m, 128): torque and columns in lanes. smooth: the smallest size used in the weights, N m; infinite for
-    equal weights. Returns the sum of the sizes, N m, the sum of their squares, and the number of small residuals, with
-    the rows that fill the lanes up.
+    smooth: the smallest size used in the weights, N m; infinite for equal weights. Returns the sum of the sizes, N m,
+    the sum of their squares, and the number of small residuals.
     """
     p, near = len(work.centre), 0
     upper = [(j, k) for k in range(p) for j in range(k + 1)]
-    terms = np.empty((len(upper) + p + 2, min(_AT_ONCE, rows.shape[1]), LANES))
-    total = np.zeros((len(terms), LANES))
-    for begin in range(0, rows.shape[1], _AT_ONCE):
-        torque, *columns = rows[:, begin : begin + _AT_ONCE]
-        part = terms[:, : len(torque)]
-        left = torque.copy()
-        for gene, column in zip(work.centre, columns, strict=True):
+    total = work.total
+    total[:] = 0.0
+    for begin in range(0, len(torque), AT_ONCE):
+        measured, *rows = in_lanes(torque[begin : begin + AT_ONCE], *columns[begin : begin + AT_ONCE].T)
+        left, terms = measured, np.empty((len(total), *measured.shape))
+        for gene, column in zip(work.centre, rows, strict=True):
             left -= gene * column
-        size = np.abs(left, out=part[-2])
-        np.multiply(size, size, out=part[-1])
+        size = np.abs(left, out=terms[-2])
+        np.multiply(size, size, out=terms[-1])
         weight = np.ones_like(size) if smooth == np.inf else 1.0 / np.maximum(size, smooth)
-        for k, column in enumerate(columns):
+        for k, column in enumerate(rows):
             weighted = weight * column
-            np.multiply(weighted, left, out=part[len(upper) + k])
+            np.multiply(weighted, left, out=terms[len(upper) + k])
             for j in range(k + 1):
-                np.multiply(columns[j], weighted, out=part[upper.index((j, k))])
-        total += part.sum(axis=1)
-        near += int(np.count_nonzero(size <= _NEAR * smooth))
-    # added one after another: the same to the last bit on every machine
-    *sums, absolute, power = total.cumsum(axis=1)[:, -1].tolist()
-    for (j, k), value in zip(upper, sums, strict=False):
-        work.gram[j, k] = value
-    work.pull[:] = sums[len(upper) :]
-    return absolute, power, near
+                np.multiply(rows[j], weighted, out=terms[upper.index((j, k))])
+        total += terms.sum(axis=1)
+        near += int(np.count_nonzero(size.ravel()[: len(torque) - begin] <= _NEAR * smooth))
+    return (*_fold(work), near)
 
 
+@compiled_as(_equations)
+def _equations_compiled(columns: Matrix, torque: Vector, work: _Work, smooth: float) -> tuple[float, float, int]:
+    """Do the same, to the last bit."""
+    n, near = len(torque), 0
+    work.total[:] = 0.0
+    work.part[:] = 0.0
+    for begin in range(0, n, LANES):
+        end = min(begin + LANES, n)
+        load_block(columns[begin:end], torque[begin:end], work.centre, work.block)
+        near += _weigh(end - begin, smooth, work)
+        _multiply(work)
+        if end % AT_ONCE == 0 or end == n:
+            carry(work.part, work.total)
+    size, power = _fold(work)
+    return size, power, near
+
+
+@compiled_within
+def _weigh(count: int, smooth: float, work: _Work) -> int:
+    """Fill in the weights of a block of `count` rows, add the residuals' sizes, and return how many are small."""
+    left, weight, sizes, powers = work.block[-2], work.block[-1], work.part[-2], work.part[-1]
+    for i in range(LANES):
+        size = abs(left[i])
+        sizes[i] += size
+        powers[i] += size * size
+        weight[i] = 1.0 if smooth == np.inf else 1.0 / (smooth if size <= smooth else size)
+    near = 0
+    for i in range(count):
+        near += abs(left[i]) <= _NEAR * smooth
+    return near
+
+
+@compiled_within
+def _multiply(work: _Work) -> None:
+    """Add the products of a block's columns and residuals."""
+    p, weight, left, t = work.centre.size, work.block[-1], work.block[-2], 0
+    for k in range(p):
+        column = work.block[k]
+        for j in range(k + 1):
+            before, sums = work.block[j], work.part[t]
+            for i in range(LANES):
+                sums[i] += before[i] * (weight[i] * column[i])
+            t += 1
+    for k in range(p):
+        column, sums = work.block[k], work.part[t + k]
+        for i in range(LANES):
+            sums[i] += weight[i] * column[i] * left[i]
+
+
+@compiled_too
+def _fold(work: _Work) -> tuple[float, float]:
+    """Fill in the normal equations from the sums in lanes; return the sum of the sizes, N m, and of their squares."""
+    p, t = work.centre.size, 0
+    for k in range(p):
+        for j in range(k + 1):
+            work.gram[j, k] = in_order(work.total[t])
+            t += 1
+    for k in range(p):
+        work.pull[k] = in_order(work.total[t + k])
+    return in_order(work.total[t + p]), in_order(work.total[t + p + 1])
+
+
+@compiled_too
 def _factor(work: _Work, count: int) -> bool:
     """Fill in the Cholesky factor of gram / count, and the inverse of this factor; False if a column depends on
     others.
@@ -187,6 +276,7 @@ def _factor(work: _Work, count: int) -> bool:
     return True
 
 
+@compiled_too
 def _solve(work: _Work) -> bool:
     """Solve the normal equations in place, by elimination; return False if a column is a combination of others."""
     gram, pull, step = work.gram, work.pull, work.step

@@ -58,7 +58,7 @@ class Search:
         if self._asked is None:
             population, p = self._population, self._rules.low.size
             if not population.evaluations:
-                scatter(self._rules, population)
+                scatter(self._rules.low, self._rules.high, population)
                 self._asked = population.genes.copy()
             else:
                 draw_parents(population)

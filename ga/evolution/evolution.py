@@ -16,7 +16,7 @@ from ga.evolution.generational import family_of, generational
 from ga.evolution.generator import seeded
 from ga.evolution.population import Population, Record, Rules, scatter, scatter_around, unrecorded
 from ga.evolution.steady_state import steady_state, tangents_of
-from ga.fitness.engine import Engine, columns_of, evaluate, parts
+from ga.fitness.engine import Engine, columns_of, evaluate_all, parts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -172,12 +172,11 @@ def begin(
     if bounds.low.size != p:
         raise ValueError(f"bounds of {bounds.low.size} parameters for {p} columns")
     population = unborn(p, settings, seed, trial)
-    rules = rules_of(bounds, settings, engine.floor, True)
     if start is None:
-        scatter(rules, population)
+        scatter(bounds.low, bounds.high, population)
     else:
-        scatter_around(rules, start, population)
-    population.fitness[:] = [evaluate(engine, genes) for genes in population.genes]
+        scatter_around(bounds.low, bounds.high, start, population.genes, population.generator)
+    evaluate_all(engine, population.genes, population.fitness)
     best = int(population.fitness.argmin())
     population.best[:], population.best_fitness[0] = population.genes[best], population.fitness[best]
     population.progress[1] = population.fitness.size

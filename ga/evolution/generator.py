@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_inline, compiled_within
+from ga.compiled import compiled_as, compiled_inline, compiled_within
 
 State: TypeAlias = NDArray[np.uint64]
 Words: TypeAlias = tuple[np.uint64, np.uint64, np.uint64, np.uint64]
@@ -34,9 +34,15 @@ def seeded(seed: int, trial: int) -> State:
 
 def uniforms(state: State, count: int) -> NDArray[np.float64]:
     """Return random numbers (count,) in [0, 1), and advance the state (4,). Not compiled: for a few numbers only."""
-    a, b, c, d = state.tolist()
     found = np.empty(count)
-    for i in range(count):
+    fill(state, found)
+    return found
+
+
+def fill(state: State, found: NDArray[np.float64]) -> None:
+    """Set every number of `found` to a random one in [0, 1), and advance the state (4,)."""
+    a, b, c, d = state.tolist()
+    for i in range(len(found)):
         total = (a + d) & _ALL
         found[i] = ((((total << 23 | total >> 41) + a) & _ALL) >> 11) * _TO_UNIT
         shifted = b << 17 & _ALL
@@ -47,7 +53,6 @@ def uniforms(state: State, count: int) -> NDArray[np.float64]:
         c ^= shifted
         d = (d << 45 | d >> 19) & _ALL
     state[:] = a, b, c, d
-    return found
 
 
 @compiled_within
@@ -83,6 +88,15 @@ def uniform(words: Words) -> tuple[float, Words]:
     """Return a random number in [0, 1), a multiple of 2^-53, and the words after it."""
     bits, words = draw(words)
     return float(bits >> _11) * _TO_UNIT, words
+
+
+@compiled_as(fill)
+def _fill_compiled(state: State, found: NDArray[np.float64]) -> None:
+    """Do the same, with the same numbers."""
+    words = load(state)
+    for i in range(found.size):
+        found[i], words = uniform(words)
+    store(words, state)
 
 
 @compiled_inline

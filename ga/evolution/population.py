@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ga.compiled import compiled_within
-from ga.evolution.generator import State, uniforms
+from ga.compiled import compiled_when_worth, compiled_within
+from ga.evolution.generator import State, fill, uniforms
 from ga.evolution.operators import REDRAWS, Genes, Order, copy
 from ga.start import Start
 
@@ -111,41 +111,33 @@ def recorded(record: Record, due: int, population: Population) -> int:
     return due
 
 
-def scatter(rules: Rules, population: Population) -> None:
-    """Draw every gene uniformly within the bounds of `rules` (the paper, "Initial Population")."""
+def scatter(low: Genes, high: Genes, population: Population) -> None:
+    """Draw every gene uniformly within the bounds `low` and `high` (the paper, "Initial Population")."""
     parts = uniforms(population.generator, population.genes.size).reshape(population.genes.shape)
-    population.genes[:] = rules.low + (rules.high - rules.low) * parts
+    population.genes[:] = low + (high - low) * parts
 
 
-def scatter_around(rules: Rules, start: Start, population: Population) -> None:
-    """Replace every chromosome by a random one, drawn uniformly in a cube around the start and limited to the bounds.
+@compiled_when_worth
+def scatter_around(low: Genes, high: Genes, start: Start, genes: NDArray[np.float64], state: State) -> None:
+    """Replace every chromosome of `genes` by a random one, drawn uniformly in a cube around the start and limited to
+    the bounds.
 
-    start: the centre and the size of the cube. A chromosome outside the bounds is drawn again, REDRAWS times at most.
+    A chromosome outside the bounds is drawn again, REDRAWS times at most.
     """
-    genes, p, inside, draws = population.genes, start.centre.size, 0, 0
-    while inside < len(genes):
-        before, left = population.generator.copy(), genes[inside:]
-        left[:] = _in_cube(start, uniforms(population.generator, left.size).reshape(left.shape))
-        outside = np.flatnonzero(~((rules.low <= left) & (left <= rules.high)).all(axis=1))
-        if not outside.size:
-            break
-        first = int(outside[0])
-        population.generator[:] = before  # goes back to where the first chromosome outside was drawn
-        uniforms(population.generator, (first + 1) * p)
-        inside, draws = inside + first, 1 if first else draws + 1
-        if draws == REDRAWS:
-            inside, draws = inside + 1, 0
-    np.clip(genes, rules.low, rules.high, out=genes)
-
-
-def _in_cube(start: Start, parts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the chromosomes (m, p) at parts (m, p), from 0 to 1, of the cube's edges."""
-    place = start.reach * (2.0 * parts - 1.0)
-    genes = np.zeros_like(place)
-    for k in range(place.shape[1]):
-        for j in range(k, place.shape[1]):
-            genes[:, k] += start.backward[k, j] * place[:, j]
-    return np.asarray(start.centre + genes)
+    for chromosome in genes:
+        for _ in range(REDRAWS):
+            fill(state, chromosome)
+            inside = True
+            for k in range(chromosome.size):
+                gene = 0.0
+                for j in range(k, chromosome.size):
+                    gene += start.backward[k, j] * (start.reach * (2.0 * chromosome[j] - 1.0))
+                chromosome[k] = start.centre[k] + gene  # the numbers of the genes before are no longer needed
+                inside = inside and low[k] <= chromosome[k] <= high[k]
+            if inside:
+                break
+        for k in range(chromosome.size):
+            chromosome[k] = min(max(chromosome[k], low[k]), high[k])
 
 
 @compiled_within

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ga.compiled import compiled_no_refcount, compiled_within
-from ga.samples import LANES, check, in_lanes, resolution
+from ga.compiled import compiled_as, compiled_no_refcount, compiled_when_worth, compiled_within
+from ga.samples import AT_ONCE, LANES, RESOLUTION, carry, check, in_lanes, in_order, load_block, resolution
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -29,8 +29,8 @@ ROUNDING = 1e-11
 both.
 """
 
-_AT_ONCE = LANES << 6
-"""The number of rows that are collapsed at a time: their working space stays in the processor's cache."""
+_ROUNDED = 1.0 + 1e-9
+"""The factor by which the cube is widened when rows are told apart, for the rounding of their residuals."""
 
 WIDER = 1.5
 """The ratio of the width of the collapsed cube to that of the cube in which the search begins: children overshoot their
@@ -88,28 +88,29 @@ def collapse(columns: NDArray[np.float64], torque: NDArray[np.float64], start: S
 
     Raises ValueError if the data are not finite, not of equal length or empty.
     """
-    check(columns, torque)
-    p, reach = columns.shape[1], WIDER * start.reach
-    opened, settled = [], np.zeros((p + 1, LANES))
-    for begin in range(0, len(torque), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        rows = in_lanes(torque[part], *columns[part].T)
-        is_open = _opened(rows, start, reach)
-        settled += (np.where(is_open, 0.0, np.where(rows[0] >= 0.0, 1.0, -1.0)) * rows).sum(axis=1)
-        is_open.flat[len(torque) - begin :] = False  # what fills the lanes up
-        opened.append(rows[:, is_open])
+    columns, torque = _as_compiled(columns), _as_compiled(torque)
+    p, reach, blocks = columns.shape[1], WIDER * start.reach, -(-len(torque) // LANES)
+    work = _Sums(np.empty((p + 3, LANES)), np.zeros((p + 2, LANES)), np.zeros((p + 2, LANES)), np.zeros(p + 2))
+    opened = np.empty((blocks, p + 1, LANES))
+    with np.errstate(all="ignore"):  # data that are not finite
+        count = open_rows(columns, torque, start.centre, start.backward, reach, opened, work)
+    filled = -(-count // LANES)
+    opened[count // LANES : filled, :, count % LANES :] = 0.0
+    *settled, size = work.sums
+    if not (np.isfinite(work.sums).all() and np.isfinite(opened[:filled]).all()):
+        check(columns, torque)
     return Samples(
-        blocks=_blocks(*np.hstack(opened)),
+        blocks=opened[:filled].copy(),
         length=len(torque),
-        floor=resolution(torque),
+        floor=max(RESOLUTION * size / len(torque), 1e-300),
         scratch=np.empty((2, LANES)),
         place=np.empty(p),
         origin=_as_compiled(start.centre),
-        settled=settled.cumsum(axis=1)[:, -1].copy(),
+        settled=np.array(settled),
         forward=_as_compiled(start.forward),
         reach=reach,
-        columns=_as_compiled(columns),
-        torque=_as_compiled(torque),
+        columns=columns,
+        torque=torque,
     )
 
 
@@ -120,20 +121,142 @@ def _as_compiled(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.require(values, np.float64, ["C", "W"])
 
 
-def _opened(rows: NDArray[np.float64], start: Start, reach: float) -> NDArray[np.bool_]:
-    """Return which of the rows (p + 1, m, 128) of torque and columns may change sign within the cube, and put their
-    residuals at the start, N m, in the place of the torque. reach: half the cube's width, N m.
+class _Sums(NamedTuple):
+    """Working space of `collapse`: a block of rows and what is computed of them (p + 3, 128); the sums of the rows that
+    keep their sign, multiplied by it, and of the size of every torque: of some blocks, of all (p + 2, 128), and over
+    the lanes (p + 2,).
     """
-    residual, *columns = rows
+
+    block: NDArray[np.float64]
+    part: NDArray[np.float64]
+    total: NDArray[np.float64]
+    sums: NDArray[np.float64]
+
+
+@compiled_when_worth
+def open_rows(  # noqa: PLR0917 - compiled functions take their parts by position
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    backward: NDArray[np.float64],
+    reach: float,
+    opened: NDArray[np.float64],
+    work: _Sums,
+) -> int:
+    """Write the rows that may change sign within the cube to the first of the blocks `opened`, residuals at the centre
+    in the place of the torque, and the sums of the others to `work`; return the number of rows written.
+    """
+    count = 0
+    for begin in range(0, len(torque), AT_ONCE):
+        part = torque[begin : begin + AT_ONCE]
+        count += _open_some(columns[begin : begin + AT_ONCE], part, centre, backward, reach, opened, count, work)
+    for k in range(len(work.sums)):
+        work.sums[k] = in_order(work.total[k])
+    return count
+
+
+def _open_some(  # noqa: PLR0917 - as above
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    backward: NDArray[np.float64],
+    reach: float,
+    opened: NDArray[np.float64],
+    before: int,
+    work: _Sums,
+) -> int:
+    """Do the same for AT_ONCE rows at most. before: the number of rows that are written already."""
+    rows = in_lanes(torque, *columns.T)
+    residual, *parts = rows
+    size = np.abs(residual).sum(axis=0)
     speed = np.zeros_like(residual)
-    for k, column in enumerate(columns):
-        residual -= column * start.centre[k]
-        along = columns[0] * start.backward[0, k]
-        for j in range(1, k + 1):
-            along += columns[j] * start.backward[j, k]
+    for k, column in enumerate(parts):
+        residual -= centre[k] * column
+        along = np.zeros_like(residual)
+        for j in range(k + 1):
+            along += parts[j] * backward[j, k]
         speed += np.abs(along, out=along)
-    speed *= reach * (1.0 + 1e-9)
-    return np.asarray(np.abs(residual) <= speed)
+    is_open = np.abs(residual) <= speed * (reach * _ROUNDED)
+    work.total[:-1] += (np.where(is_open, 0.0, np.where(residual >= 0.0, 1.0, -1.0)) * rows).sum(axis=1)
+    work.total[-1] += size
+    is_open.flat[len(torque) :] = False  # what fills the lanes up
+    found = rows[:, is_open]
+    place = before + np.arange(found.shape[1])
+    opened[place // LANES, :, place % LANES] = found.T
+    return len(place)
+
+
+@compiled_as(_open_some)
+def _open_some_compiled(  # noqa: PLR0917 - as above
+    columns: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    backward: NDArray[np.float64],
+    reach: float,
+    opened: NDArray[np.float64],
+    before: int,
+    work: _Sums,
+) -> int:
+    """Do the same, to the last bit."""
+    n, place = len(torque), before
+    size = work.part[-1]
+    work.part[:] = 0.0
+    for begin in range(0, n, LANES):
+        end = min(begin + LANES, n)
+        for i in range(end - begin):
+            size[i] += abs(torque[begin + i])
+        load_block(columns[begin:end], torque[begin:end], centre, work.block)
+        _measure(backward, work)
+        _settle(reach * _ROUNDED, work)
+        place = _write(end - begin, opened, place, work)
+    carry(work.part, work.total)
+    return place - before
+
+
+@compiled_within
+def _measure(backward: NDArray[np.float64], work: _Sums) -> None:
+    """Fill in how much the residuals of a block change on the way to the corner of a cube of half width 1."""
+    along, speed = work.block[-2], work.block[-1]
+    speed[:] = 0.0
+    for k in range(len(backward)):
+        along[:] = 0.0
+        for j in range(k + 1):
+            column, turn = work.block[j], backward[j, k]
+            for i in range(LANES):
+                along[i] += column[i] * turn
+        for i in range(LANES):
+            speed[i] += abs(along[i])
+
+
+@compiled_within
+def _settle(reach: float, work: _Sums) -> None:
+    """Add the rows of a block that keep their sign to the sums, and put the signs in the place of the speeds: 0 for the
+    rows that may change theirs.
+    """
+    p = len(work.block) - 3
+    residual, signs, sums = work.block[p], work.block[-1], work.part[0]
+    for i in range(LANES):
+        sign = 0.0 if abs(residual[i]) <= signs[i] * reach else 1.0 if residual[i] >= 0.0 else -1.0
+        signs[i] = sign
+        sums[i] += sign * residual[i]
+    for k in range(p):
+        column, sums = work.block[k], work.part[k + 1]
+        for i in range(LANES):
+            sums[i] += signs[i] * column[i]
+
+
+@compiled_within
+def _write(count: int, opened: NDArray[np.float64], place: int, work: _Sums) -> int:
+    """Write those of a block's `count` rows that may change their sign; return the place of the next one."""
+    p, signs = len(work.block) - 3, work.block[-1]
+    for i in range(count):
+        if signs[i] == 0.0:
+            target = opened[place // LANES, :, place % LANES]
+            target[0] = work.block[p, i]
+            for k in range(p):
+                target[k + 1] = work.block[k, i]
+            place += 1
+    return place
 
 
 def _blocks(*rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -157,6 +280,13 @@ def dense_error(samples: Samples, genes: NDArray[np.float64], limit: float) -> f
     if error * (1.0 - ROUNDING) > limit * samples.length:  # a bound from below
         return np.inf
     return _plain_error(samples, genes)
+
+
+@compiled_when_worth
+def dense_errors(samples: Samples, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
+    """Fill in equation 5 for chromosomes (m, p), N m."""
+    for i in range(len(genes)):
+        errors[i] = dense_error(samples, genes[i], np.inf)
 
 
 @compiled_within

@@ -17,7 +17,7 @@ import numpy as np
 from ga.compiled import compiled_within
 from ga.fitness.cell_tree import tree_error, tree_tangent
 from ga.fitness.cells import Tree, another, grow
-from ga.fitness.dense import Samples, collapse, dense_error, dense_tangent, pack, shared
+from ga.fitness.dense import Samples, collapse, dense_error, dense_errors, dense_tangent, pack, shared
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -97,6 +97,14 @@ def parts(engine: Engine) -> tuple[Samples | None, Tree | None]:
 def columns_of(engine: Engine) -> int:
     """Return p, the number of parameters."""
     return engine.blocks.shape[1] - 1 if isinstance(engine, Samples) else engine.origin.size
+
+
+def evaluate_all(engine: Engine, genes: NDArray[np.float64], errors: NDArray[np.float64]) -> None:
+    """Fill in the fitness, N m, of chromosomes (m, p)."""
+    if isinstance(engine, Samples):
+        dense_errors(engine, genes, errors)
+    else:
+        errors[:] = [tree_error(engine, chromosome, np.inf) for chromosome in genes]
 
 
 def evaluate(engine: Engine, genes: NDArray[np.float64]) -> float:

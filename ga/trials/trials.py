@@ -6,7 +6,7 @@ import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Final
 
@@ -196,12 +196,15 @@ def _resumed(first: Callable[[int], Population], state: SearchState) -> list[_Tr
     ]
 
 
+@lru_cache(maxsize=8)
 def _grid(generations: int) -> NDArray[np.int64]:
     decades = np.log10(generations)
     points = 10.0 ** np.linspace(0.0, decades, int(np.ceil(decades * POINTS_PER_DECADE)) + 1)
     grid = np.rint(points).astype(np.int64)
     grid[-1] = generations
-    return np.concatenate([[0], grid[np.diff(grid, prepend=0) > 0]])
+    grid = np.concatenate([[0], grid[np.diff(grid, prepend=0) > 0]])
+    grid.setflags(write=False)  # kept
+    return grid
 
 
 def _all(run: _Run, engine: Engine, running: list[_Trial], workers: int, watch: _Watch) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numba
 import pytest
 
-from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled
+from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled, compiled_when_worth
 from ga.first_run import announced_to
 
 CONFIG: Any = numba.config
@@ -93,6 +93,20 @@ def rewrite(source: Path, text: str) -> None:
 def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tmp_path: Path) -> None:
     asked = [begin(ASK, package, tmp_path / "cache") for _ in range(2)]
     assert sorted(answered(end(*one)) for one in asked) == [(2.0, False), (2.0, True)]
+
+
+def test_python_runs_a_function_until_compiling_it_is_worth_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ga.compiled.cache_folder", lambda _package: tmp_path)
+    heard: list[int] = []
+    with announced_to(heard.append):
+        torque = compiled_when_worth(lambda x: x * 2.0)
+        assert torque(1.0) == 2.0
+        assert not heard
+        monkeypatch.setattr(compiled_when_worth, "worth", 0.0)
+        assert torque(1.0) == 2.0
+    assert heard == [0, 1]
 
 
 def test_what_is_compiled_is_announced_when_it_begins_and_when_it_is_done(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ga.bounds import Bounds, bounds_from_data
+from ga.compiled import compiled_when_worth
 from ga.evolution.evolution import PRESETS, begin
 from ga.evolution.generator import seeded, uniforms
 from ga.fitness.dense import WIDER, collapse, dense_error, dense_tangent
@@ -104,6 +105,23 @@ def test_the_tangent_of_collapsed_samples_touches_the_fitness_and_stays_below_it
         for _ in range(100):
             genes = start.centre + start.backward @ (30.0 * start.reach * rng.uniform(-1.0, 1.0, 2))
             assert height + slope @ (genes - at) <= evaluate(engine, genes) * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("name", [*NASTY, "few of many rows"])
+def test_python_and_machine_code_begin_with_the_same_bits(
+    made: Making, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    columns, torque = nasty(name, made)
+    if name == "few of many rows":
+        columns, torque = np.tile(columns, (30, 1)), np.tile(torque, 30)
+    bounds = bounds_from_data(columns, torque)
+    settings = replace(PRESETS["default"], generations=3)
+    runs = []
+    for worth in (np.inf, 0.0):
+        monkeypatch.setattr(compiled_when_worth, "worth", worth)
+        runs.append(run_trials(columns, torque, bounds, settings, trials=2, seed=0, workers=1))
+    assert runs[0].genes.tobytes() == runs[1].genes.tobytes()
+    assert runs[0].fitness.tobytes() == runs[1].fitness.tobytes()
 
 
 @pytest.mark.parametrize("name", [*NASTY, "plain"])
