@@ -1,10 +1,11 @@
-"""The scripts of benchmarks/ run to their end and write what they say; nothing is asserted of their times."""
+"""The scripts of benchmarks/ run to their end and write what they say; of their times, only ratios are asserted."""
 
 from __future__ import annotations
 
 import csv
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,12 +15,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 pytestmark = pytest.mark.study
+RATIO = re.compile(r"at 2,500 samples `hil, default` .+?(the fastest [^,]+), .+?\*\*([\d.]+) times (faster|slower)")
 BENCH = ("cma", "cmaes", "deap", "pygad", "pymoo")
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which peers.py has run with its tiniest settings."""
+    """A folder in which peers.py has run with its shorter recording."""
     missing = [name for name in BENCH if importlib.util.find_spec(name) is None]
     if missing:
         pytest.skip(f"PEERS NOT TESTED: {', '.join(missing)} not installed, pip install '.[bench]'")
@@ -27,7 +29,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     # a copy writes beside itself, not over the results of the repository
     shutil.copytree(ROOT / "benchmarks", folder / "benchmarks", ignore=shutil.ignore_patterns("__pycache__", "results"))
     subprocess.run(
-        [sys.executable, "benchmarks/peers.py", "--samples", "300", "--seeds", "1", "--cap", "0.1"],
+        [sys.executable, "benchmarks/peers.py", "--samples", "2500", "--seeds", "3", "--cap", "0.1"],
         cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
@@ -51,6 +53,15 @@ def test_the_comparison_with_others_names_every_method_in_its_table(written: Pat
     )
     assert text.startswith("# Time to the optimum")
     assert [name for name in methods if f"\n{name}," not in text] == []
+
+
+def test_no_ratio_to_other_optimisers_has_fallen_by_a_third_since_it_was_published(written: Path) -> None:
+    published, now = (
+        {which: float(times) if word == "faster" else 1.0 / float(times) for which, times, word in RATIO.findall(text)}
+        for text in ((root / "benchmarks/results/peers.csv").read_text(encoding="utf-8") for root in (ROOT, written))
+    )
+    assert len(published) == 2
+    assert {which: ratio for which, ratio in published.items() if not now.get(which, 0.0) > ratio / 1.5} == {}
 
 
 def test_the_comparison_with_others_draws_its_picture(written: Path) -> None:
