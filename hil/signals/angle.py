@@ -4,7 +4,10 @@ single wrong readings of a torque.
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
@@ -20,6 +23,9 @@ def difference(order: int) -> Array:
 
 
 _CUBIC = difference(4)
+
+_AT_ONCE: Final = 1 << 16
+"""The number of readings whose medians are computed at a time."""
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
@@ -179,10 +185,12 @@ def _median(values: Array, width: int) -> Array:
     """Return the medians (n,) of values and their neighbours, `width` in all; beyond the ends, values go on as they
     came.
     """
-    from scipy.ndimage import median_filter
-
-    reach = width // 2
-    return np.asarray(median_filter(np.pad(values, reach, mode="reflect", reflect_type="odd"), width)[reach:-reach])
+    windows = sliding_window_view(np.pad(values, width // 2, mode="reflect", reflect_type="odd"), width)
+    found = np.empty(len(values))
+    for begin in range(0, len(values), _AT_ONCE):  # a copy of all windows would need `width` times the memory
+        part = slice(begin, begin + _AT_ONCE)
+        found[part] = np.partition(windows[part], width // 2, axis=1)[:, width // 2]
+    return found
 
 
 def _off_motion(time: Array, torque: Array, angle: Array) -> Mask:
@@ -193,8 +201,6 @@ def _off_motion(time: Array, torque: Array, angle: Array) -> Mask:
     crosses in a few readings, or a stop, changes the torque at the same deflection again and again. A step, as of
     friction that reverses, is not far from the median.
     """
-    from scipy.ndimage import maximum_filter, minimum_filter
-
     width = 2 * len(_CUBIC) + 1
     usual = _median(torque, width)
     off = np.abs(torque - usual)
@@ -208,8 +214,9 @@ def _off_motion(time: Array, torque: Array, angle: Array) -> Mask:
     both = np.minimum(off, off := np.abs(rest - _median(rest, width)))
     # near a reversal, friction may have either direction, and more than its usual size
     moved = np.sign(np.diff(angle, prepend=angle[0]))
-    near = {"size": len(_CUBIC) + 1, "origin": -1}  # three readings before, and three after
-    both -= 2.0 * abs(values[2]) * (maximum_filter(moved, **near) - minimum_filter(moved, **near))
+    before = len(_CUBIC) // 2
+    near = sliding_window_view(np.pad(moved, (before, before + 1), mode="symmetric"), len(_CUBIC) + 1)
+    both -= 2.0 * abs(values[2]) * np.ptp(near, axis=1)  # three readings before, and three after
     steps = np.abs(np.diff(rest, prepend=rest[0]))
     changes = np.abs(np.diff(torque))
     least = max(float(changes[changes > 0.0].min(initial=np.inf)), c.ACCURATE * float(np.ptp(usual)))
