@@ -7,7 +7,7 @@ recording was made.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -15,10 +15,9 @@ from typing import Final
 import numpy as np
 
 from ga.arrays import Array, Mask
-from ga.model.cache import ALTERNATING
-from ga.model.memory import Beginnings, beginnings, without_beginnings
+from ga.model.columns import ColumnSource, reaches
+from ga.model.memory import beginnings, without_beginnings
 from ga.model.record import Parameter, Regressors, Term
-from ga.model.seen import Seen, reaches
 from ga.model.sticking import beside_rest, slowest, smoothing, turns_unseen
 from ga.model.terms import TERMS, canonical, lacking
 from ga.model.trajectory import Motion
@@ -162,15 +161,15 @@ class CouplingModel:
         surfaces separate.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        seen = model._seen(motion, nonlinear, lag)
-        return model._read(motion, model._stacked(seen, nonlinear), nonlinear)
+        source = model._source(motion, nonlinear, lag)
+        return model._read(motion, model._stacked(source, nonlinear), nonlinear)
 
     def raw_columns(self, motion: Motion, nonlinear: Array, lag: float = 0.0) -> Array:
         """Return the columns (n, p) before the torque cell, including the part that unknown initial states can explain.
 
         nonlinear (q,): values of the nonlinear parameters. lag: Bc/Kc, s.
         """
-        return self._stacked(self._seen(motion, nonlinear, lag), nonlinear)
+        return self._stacked(self._source(motion, nonlinear, lag), nonlinear)
 
     def target(self, motion: Motion, torque: Array, nonlinear: Array | None = None) -> Array:
         """Return the torque (n,), N m, that the columns are fitted to: the measured torque less its known part.
@@ -179,8 +178,8 @@ class CouplingModel:
         explain is removed too.
         """
         if motion.whole[0].known.any():
-            seen = self._through_cell(motion, nonlinear)
-            torque = torque - self._behind_cell(motion, seen.delayed(self.delay(nonlinear)).known, nonlinear)
+            source = self._through_cell(motion, nonlinear)
+            torque = torque - self._behind_cell(motion, source.delayed(self.delay(nonlinear)).known, nonlinear)
         return self._known(motion, torque, nonlinear)
 
     def jacobian(
@@ -202,20 +201,20 @@ class CouplingModel:
         of these jumps at single samples is left out.
         """
         model = self if self.smoothing is not None else self.anchored(motion)
-        seen = model._seen(motion, nonlinear, lag)
+        source = model._source(motion, nonlinear, lag)
         found: list[Array] = []
         for term, values in model._valued(nonlinear):
             if term.delays and not (model._load_remembers or model._smooths):
-                rates = seen.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
-                aged = -(model._stacked(seen, nonlinear, rates) @ genes + rates[0].known)
+                rates = source.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
+                aged = -(model._stacked(source, nonlinear, rates) @ genes + rates[0].known)
                 found.append(model._read(motion, aged, nonlinear))
             elif term.shifts is not None:
-                for shift in term.shifts(seen.whole.angle):
-                    pushed = -model._pushed(seen.whole, nonlinear, genes, shift * seen.whole.contact)
-                    found.append(model._read(motion, seen.passed(pushed, bends=True), nonlinear))
+                for shift in term.shifts(source.whole.angle):
+                    pushed = -model._pushed(source.whole, nonlinear, genes, shift * source.whole.contact)
+                    found.append(model._read(motion, source.passed(pushed, bends=True), nonlinear))
             else:
-                read = model._torque(motion, seen, nonlinear, genes, lag=lag) if torque is None else torque
-                same_delay = None if term.delays else seen
+                read = model._torque(motion, source, nonlinear, genes, lag=lag) if torque is None else torque
+                same_delay = None if term.delays else source
                 for _ in values:
                     ends = model._beside(nonlinear, len(found))
                     low, high = (
@@ -235,12 +234,14 @@ class CouplingModel:
         beside[:, at] = np.maximum(ends, 0.0) if parameter.positive else ends
         return beside
 
-    def _torque(self, motion: Motion, seen: Seen | None, nonlinear: Array, genes: Array, *, lag: float) -> Array:
+    def _torque(
+        self, motion: Motion, source: ColumnSource | None, nonlinear: Array, genes: Array, *, lag: float
+    ) -> Array:
         """Return the torque (n,), N m, of a motion, including the part explained by unknown initial states.
 
-        seen: regressors with the same delay, if known.
+        source: regressors with the same delay, if known.
         """
-        moved = self._seen(motion, nonlinear, lag, seen)
+        moved = self._source(motion, nonlinear, lag, source)
         torque = self._stacked(moved, nonlinear) @ genes + moved.near.motion.known
         return self._behind_cell(motion, torque, nonlinear)
 
@@ -265,7 +266,9 @@ class CouplingModel:
         """Return each term that has nonlinear parameters, with its own values from the model's values (q,)."""
         return [] if nonlinear is None else [(term, nonlinear[own]) for term, own in self._places]
 
-    def _seen(self, motion: Motion, nonlinear: Array | None, lag: float, delayed: Seen | None = None) -> Seen:
+    def _source(
+        self, motion: Motion, nonlinear: Array | None, lag: float, delayed: ColumnSource | None = None
+    ) -> ColumnSource:
         """Return the regressors for parameters (q,). delayed: regressors for other parameters with the same delay."""
         whole, delay = motion.whole[0], self.delay(nonlinear)
         motion = self._through_cell(motion, nonlinear)
@@ -273,12 +276,12 @@ class CouplingModel:
         reach = (reaches(motion, term, bends=bends) for term, bends in zip(self.terms, self.bends, strict=True))
         if motion is whole or not any(reach):
             near = self._regressors(motion, shown, nonlinear, lag)
-            return Seen(motion, near, near)
+            return ColumnSource(motion, near, near)
         all_shown = delayed.whole.motion if delayed else whole.delayed(delay)
         every = self._regressors(whole, all_shown, nonlinear, lag)
         if self._load_remembers:
-            return Seen(motion, every.of(motion.whole[1], shown), every)
-        return Seen(motion, self._regressors(motion, shown, nonlinear, lag), every)
+            return ColumnSource(motion, every.of(motion.whole[1], shown), every)
+        return ColumnSource(motion, self._regressors(motion, shown, nonlinear, lag), every)
 
     def _behind_cell(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
         """Return a torque (m,) or columns (m, p) after the torque cell's filter, at the samples of the motion (n,).
@@ -301,34 +304,26 @@ class CouplingModel:
         if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
             return values
 
-        def begun() -> Beginnings:
-            valued = [(term.forgets, own) for term, own in self._valued(nonlinear) if term.forgets is not None]
-            return beginnings(np.stack([forgets(motion, own) for forgets, own in valued]), motion.stretch)
+        valued = [(term.forgets, own) for term, own in self._valued(nonlinear) if term.forgets is not None]
+        return without_beginnings(values, beginnings(np.stack([f(motion, own) for f, own in valued]), motion.stretch))
 
-        key = self.name, np.asarray(nonlinear, dtype=np.float64).tobytes()
-        return without_beginnings(values, motion.kept.get("beginnings", key, begun, ALTERNATING))
-
-    def _regressors(self, motion: Motion, seen: Motion, nonlinear: Array | None, lag: float) -> Regressors:
+    def _regressors(self, motion: Motion, source: Motion, nonlinear: Array | None, lag: float) -> Regressors:
         """Return the regressors of the delayed motion, before a gap or a slack is applied."""
-        angle, contact, load, softness = seen.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
+        angle, contact, load, softness = source.dtheta, np.ones(len(motion)), None, self.smoothing or 0.0
         damped = not any(term.spares_dampers for term in self.terms)
-        moved: list[Hashable] = [lag if self.needs_ratio else 0.0]
         for term, values in self._valued(nonlinear):
             if term.remaining is not None:
                 angle = term.remaining(angle, values)
             if term.smooths:
                 softness = float(values[0])
-            if term.remaining is not None or term.contact is not None or term.load is not None:
-                moved += [term.name, values.tobytes()]
         for term, values in self._valued(nonlinear):
             if term.contact is not None:
-                own = term.contact(angle, seen, lag)
+                own = term.contact(angle, source, lag)
                 angle, contact = angle * own, contact * own
             if term.load is not None:
-                load = term.load(angle, seen, lag, softness, values)
+                load = term.load(angle, source, lag, softness, values)
         elapsed, middle = motion.time - (self.origin or 0.0), self.middle or 0.0
-        key = (self.origin, middle, softness), tuple(moved)
-        return Regressors(elapsed, seen, angle, contact, load, damped, softness, middle, np.empty(0), key)
+        return Regressors(elapsed, source, angle, contact, load, damped, softness, middle, np.empty(0))
 
     def _present(self, nonlinear: Array | None) -> Iterator[tuple[Term, bool, Array]]:
         """Yield each term, whether its torque is no linear filter of the motion, and its values from (q,).
@@ -351,9 +346,11 @@ class CouplingModel:
             at += count
         return np.asarray(sum(parts[1:], start=parts[0]))
 
-    def _stacked(self, seen: Seen, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None) -> Array:
+    def _stacked(
+        self, source: ColumnSource, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None
+    ) -> Array:
         """Return the columns (n, p) of all terms; with `changing`, their time derivatives."""
-        columns = seen.columns(self._present(nonlinear), changing)
+        columns = source.columns(self._present(nonlinear), changing)
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 

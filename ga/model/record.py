@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from ga.arrays import Array, Index
     from ga.model.trajectory import Motion
@@ -114,9 +114,7 @@ class Regressors:
     beyond a gap or slack, times contact, rad. contact: 1, or 0 where the surfaces of a gap do not touch. load: the
     factor by which friction in proportion to the load multiplies the torque of springs; None without such friction.
     damped: whether this factor multiplies the torque of dampers too. smoothing: v_s of friction, rad/s. middle: the
-    time in the middle of the recording, s. own: the nonlinear parameters of the term whose columns are computed. key:
-    everything besides the motion on which the signals depend, in two parts; angle, contact and load depend on the
-    second part too.
+    time in the middle of the recording, s. own: the nonlinear parameters of the term whose columns are computed.
     """
 
     time: Array
@@ -128,7 +126,6 @@ class Regressors:
     smoothing: float
     middle: float
     own: Array
-    key: tuple[Hashable, Hashable] = ((), ())
 
     def of(self, rows: Index | slice, motion: Motion) -> Regressors:
         """Return the regressors at the samples `rows`. motion: the motion at these samples."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
-
-from ga.model.cache import ALTERNATING, PARTS, SMALL, Kept
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -77,7 +75,6 @@ class Motion:
     rate_noise: float | None = None
     part_of: tuple[Motion, Index] | None = None
     behind: Filter | None = None
-    kept: Kept = field(default_factory=Kept, init=False, repr=False)
 
     def __post_init__(self) -> None:
         shapes = {getattr(self, name).shape for name in ("time", *_PARTS)}
@@ -88,12 +85,8 @@ class Motion:
         return len(self.time)
 
     def __getstate__(self) -> dict[str, object]:
-        """Return the state for pickling, without what is kept for a thread, and without functions."""
-        return {name: value for name, value in self.__dict__.items() if name not in {"_filters", "kept"}}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        """Restore a pickled motion."""
-        self.__dict__.update(state, kept=Kept())
+        """Return the state for pickling, without functions."""
+        return {name: value for name, value in self.__dict__.items() if name != "_filters"}
 
     @property
     def pieces(self) -> list[slice]:
@@ -139,13 +132,8 @@ class Motion:
         return (self, slice(None)) if self.part_of is None else self.part_of
 
     def of(self, rows: Mask | Index | slice) -> Motion:
-        """Return the motion at the samples `rows`, cached if small; delays and lags remain as exact as in the whole."""
+        """Return the motion at the samples `rows`; delays and lags remain as exact as in the whole."""
         chosen = np.arange(len(self))[rows]
-        if len(chosen) > SMALL:
-            return self._at(rows, chosen)
-        return self.kept.get("parts", chosen.tobytes(), lambda: self._at(rows, chosen), PARTS)
-
-    def _at(self, rows: Mask | Index | slice, chosen: Index) -> Motion:
         whole, places = self.whole
         return replace(
             self,
@@ -217,13 +205,8 @@ class Motion:
         )
 
     def delayed(self, delay: float) -> Motion:
-        """Return the motion `delay` seconds before each time; before the start of a piece it is extrapolated.
-
-        The last results are cached: a descent needs columns, torque and their derivatives for several delays in turn.
-        """
-        if delay == 0.0:
-            return self
-        return self.kept.get("delayed", delay, lambda: self._evaluated(delay, self._curves), ALTERNATING)
+        """Return the motion `delay` seconds before each time; before the start of a piece it is extrapolated."""
+        return self._evaluated(delay, self._curves) if delay else self
 
     def changing(self, delay: float) -> Motion:
         """Return the time derivative of each array of the motion, per second, `delay` seconds before each time."""

@@ -156,9 +156,7 @@ class Fits:
 
     @cached_property
     def _coarser(self) -> tuple[Motion, Index]:
-        """Return the motion on which a fit begins, and its samples' indices: the same for all models, so that columns
-        are kept.
-        """
+        """Return the motion on which a fit begins, and its samples' indices."""
         return self.motion.coarser(ENOUGH)
 
     def candidate(self, terms: tuple[str, ...], values: Mapping[str, float]) -> Candidate:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 
 from ga.arrays import Array
-from ga.model.cache import ROOM, SMALL
 from ga.model.record import Regressors, Term
 from ga.model.trajectory import Motion
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ColumnSource:
     """The motion (n,) from which the torque is computed, and its regressors.
 
     motion: all samples if a torque cell filters the torque, else the samples that are requested. near: the regressors
@@ -52,46 +50,30 @@ class Seen:
     ) -> list[Array]:
         """Return the columns (n,) of terms; with `changing`, their time derivatives.
 
-        present: each term, whether its torque is no linear filter of the motion, and its parameters. Columns are kept
-        with the motion, because most of them do not change in a search. The others are filtered together: that takes
-        half as long.
+        present: each term, whether its torque is no linear filter of the motion, and its parameters. Columns that must
+        be filtered are filtered together: that takes half as long.
         """
-        asked = [self._asked(*one, changing) for one in present]
-        bent = [column for one in asked if one.filtered for column in one.columns]
-        passed = iter(self.motion.whole[0].filtered(np.stack(bent)) if bent else ())
+        computed = [self._computed(*one, changing) for one in present]
+        bent = [column for columns, _, filtered in computed if filtered for column in columns]
+        whole, rows = self.motion.whole
+        passed = iter(whole.filtered(np.stack(bent)) if bent else ())
         found: list[Array] = []
-        for one in asked:
-            columns = tuple(islice(passed, len(one.columns))) if one.filtered else one.columns
-            if one.key is not None:
-                one.motion.kept.keep("columns", one.key, columns, 1 + ROOM // (len(one.motion) + SMALL))
-            found += [column[self.motion.whole[1]] for column in columns] if one.beyond else columns
+        for columns, beyond, filtered in computed:
+            every = islice(passed, len(columns)) if filtered else columns
+            found += [column[rows] for column in every] if beyond else every
         return found
 
-    def _asked(self, term: Term, bends: bool, values: Array, changing: tuple[Motion, Motion] | None) -> _Asked:
+    def _computed(
+        self, term: Term, bends: bool, values: Array, changing: tuple[Motion, Motion] | None
+    ) -> tuple[tuple[Array, ...], bool, bool]:
+        """Return the columns (m,) of a term, whether they are of all samples because the term depends on samples that
+        are not requested, and whether they must be filtered.
+        """
         beyond = reaches(self.motion, term, bends=bends)
-        own = self.whole if beyond else self.near
-        own = replace(own, own=values) if len(values) else own  # thousands of times in a selection
-        moved = own.key if term.uses_deflection else own.key[0]
-        key = (term.name, term.columns, values.tobytes(), bends, moved) if changing is None else None
-        known = None if key is None else own.motion.kept.recalled("columns", key)
-        if known is not None:
-            return _Asked(own.motion, None, known, beyond=beyond, filtered=False)
-        columns = _computed(term, own, None if changing is None else changing[beyond])
-        filtered = beyond and bends and self.motion.behind is not None
-        return _Asked(own.motion, key, columns, beyond=beyond, filtered=filtered)
-
-
-class _Asked(NamedTuple):
-    """The columns (m,) of a term. beyond: whether the term depends on samples that are not requested; then the columns
-    are of all samples. key: the key under which the motion must keep the columns; None if it keeps them already or must
-    not. filtered: whether the columns must be filtered.
-    """
-
-    motion: Motion
-    key: Hashable | None
-    columns: tuple[Array, ...]
-    beyond: bool
-    filtered: bool
+        regressors = self.whole if beyond else self.near
+        regressors = replace(regressors, own=values) if len(values) else regressors  # thousands of times in a selection
+        columns = _computed(term, regressors, None if changing is None else changing[beyond])
+        return columns, beyond, beyond and bends and self.motion.behind is not None
 
 
 def _computed(term: Term, own: Regressors, changing: Motion | None) -> tuple[Array, ...]:
