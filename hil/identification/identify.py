@@ -37,8 +37,8 @@ from hil.identification.verdict.deflection import (
 )
 from hil.identification.verdict.evidence import Evidence, estimates, span_met, with_misfit
 from hil.identification.verdict.identifiability import judge, uncertain_scale, wide_intervals
-from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics, outweighed_spring
-from hil.identification.verdict.stationarity import disagreement, other_zeros, pooled_intervals, stationarity_errors
+from hil.identification.verdict.misfit import lost_by_misfit, misfit_diagnostics
+from hil.identification.verdict.stationarity import disagreement, other_zeros, pooled_intervals
 from hil.recording.ahead import Progress
 from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
@@ -92,14 +92,12 @@ def _identified(
         doubts: list[Diagnostic] = []
         if not any(one.code == "implausible" for one in data.diagnostics):  # a wrong sign is the cause of all others
             doubts = [
-                *_stationarity(data, solution),
                 *differing,
                 *other_zeros(*scattered, solution.optimum.fitness),
                 *judge(evidence),
                 *(deflection_diagnostics(evidence) or ignored_command(data.signals, dynamic)),
                 *misfit_diagnostics(described, data.choice.model.name, fit, dynamic, selected=evidence.selected),
                 *lost_by_misfit(modelled, found),
-                *outweighed_spring(described, fit),
             ]
             doubts += [*wide_intervals(evidence, doubts), *uncertain_scale(scale)]
         return Identification(
@@ -240,14 +238,6 @@ def _with_result(steps: Sequence[Step], found: Sequence[Estimate], solution: Sol
     last = max(at for at, step in enumerate(steps) if step.included)
     final = replace(steps[last], fitness=solution.optimum.fitness, Kc=found[0].exact, Bc=found[1].exact)
     return (*steps[:last], final, *steps[last + 1 :])
-
-
-def _stationarity(data: Dataset, solution: Solution) -> list[Diagnostic]:
-    """Return the diagnostics of Kc over each recording; [] if the samples are on disk and would have to be read
-    again.
-    """
-    names = _names((*data.choice.model.linear, *data.choice.model.nonlinear))
-    return stationarity_errors(solution.blocks, data.edges, names.index("Kc")) if data.whole and "Kc" in names else []
 
 
 def _names(parameters: tuple[Parameter, ...]) -> tuple[str, ...]:

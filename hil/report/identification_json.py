@@ -173,7 +173,7 @@ def upgraded(table: dict[str, Any]) -> dict[str, Any]:
     return same
 
 
-_CODES = {"unsteady": "not-stationary"}
+_CODES = {"unsteady": "misfit"}
 """The present code of each diagnostic, by its code in version 1."""
 
 

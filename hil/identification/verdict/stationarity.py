@@ -1,4 +1,4 @@
-"""Check whether the parameters are constant: during one recording, and from one pooled recording to the next."""
+"""Check whether the parameters are the same in all pooled recordings."""
 
 from __future__ import annotations
 
@@ -104,30 +104,6 @@ def other_zeros(
     return [Diagnostic("recordings-differ", text, name)]
 
 
-def stationarity_errors(blocks: Blocks, edges: tuple[int, ...], kc: int) -> list[Diagnostic]:
-    """Return an error for each recording in which Kc of two quarters differs by more than a factor of three.
-
-    blocks: the linear problem around the solution. edges: the row at which each recording ends. kc: the index of the
-    column of Kc.
-    """
-    found = []
-    for first, last in pairwise((0, *edges)):
-        cuts = np.linspace(first, last, c.QUARTERS + 1).astype(int).tolist()
-        values = [value for start, stop in pairwise(cuts) for value in _stiffness(blocks.between(start, stop), kc)]
-        if values and max(values) > c.DIFFERENT * min(values):
-            found.append(
-                Diagnostic(
-                    "not-stationary",
-                    f"Kc is {min(values):.3g} N m/rad in one quarter of the recording and {max(values):.3g} N m/rad in "
-                    "another. No single Kc describes both: a unit changed, or the cable slipped or came loose. Look "
-                    "at the recording with --report, and import or record again",
-                    "Kc",
-                    is_error=True,
-                )
-            )
-    return found
-
-
 def _differ(one: VarianceComponents) -> bool:
     """Return whether the values of the recordings differ by more than chance explains. one: the variance components."""
     return one.p_alike <= c.FALSE_ALARMS and one.between > c.BETWEEN * one.within
@@ -151,12 +127,3 @@ def _fitted(blocks: Blocks) -> tuple[Array, Array]:
     except RuntimeError:
         return np.zeros(0), np.zeros(0)
     return values, confidence_intervals(blocks, values).half_width
-
-
-def _stiffness(blocks: Blocks, kc: int) -> list[float]:
-    """Return Kc, N m/rad, as a list of one number; [] if the rows do not determine Kc well enough for a comparison.
-
-    kc: the index of the column of Kc.
-    """
-    values, half = _fitted(blocks)
-    return [float(values[kc])] if len(values) and half[kc] < c.PRECISE * values[kc] else []

@@ -433,9 +433,8 @@ def test_a_unit_that_changes_in_the_middle_of_a_recording_is_found(make_recordin
 
     found = identify([make_recording(samples=1000, noise=1e-5, change=change)], parse("linear"), SEARCH)
     assert not found.trustworthy
-    (said,) = [diagnostic for diagnostic in found.diagnostics if diagnostic.code == "not-stationary"]
-    assert said.parameter == "Kc"
-    assert "Kc is 0.02 N m/rad in one quarter of the recording and 20 N m/rad in another" in said.message
+    assert any(one.code == "misfit" and one.is_error for one in found.diagnostics)
+    assert not found.trusted("Kc")
 
 
 @pytest.mark.study

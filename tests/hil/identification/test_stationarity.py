@@ -21,7 +21,6 @@ from hil.identification.verdict.stationarity import (
     disagreement,
     other_zeros,
     pooled_intervals,
-    stationarity_errors,
 )
 
 from ..conftest import Maker
@@ -110,16 +109,6 @@ def test_another_zero_of_the_torque_matters_beside_the_error_of_the_fit(error: f
     found = other_zeros(["Kc", "tau0"], [None, components], PATHS, error)
     assert [one.parameter for one in found] == ["tau0"] * named
     assert other_zeros(["Kc"], [components], PATHS, error) == []
-
-
-@pytest.mark.parametrize(("last", "wrong"), [(3.5, True), (2.5, False)])
-def test_a_stiffness_that_changes_within_a_recording_by_more_than_a_factor_of_three_is_an_error(
-    last: float, *, wrong: bool
-) -> None:
-    blocks = Blocks.of(*problem(1.0, 1.0, 1.0, last, 1.0, 1.0, 1.0, 1.0))
-    found = stationarity_errors(blocks, (1600, 3200), 0)
-    assert [(one.code, one.parameter, one.is_error) for one in found] == [("not-stationary", "Kc", True)] * wrong
-    assert all("Kc is 1 N m/rad in one quarter of the recording and 3.5 N m/rad" in one.message for one in found)
 
 
 @pytest.mark.study

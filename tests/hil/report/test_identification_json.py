@@ -31,7 +31,7 @@ def test_a_json_object_of_version_1_is_read_in_the_words_of_version_2() -> None:
         "parameters": {"Kc": kc},
         "fitness": {"value": 1e-4, "best_trial": 1.1e-4, "optimiser_gap": 0.1, "unit": "N*m"},
         "validation": {"fitness": 1e-4, "nrmse": 0.02},
-        "warnings": [{"code": "not-stationary", "parameter": "Kc", "message": ""}],
+        "warnings": [{"code": "misfit", "parameter": "Kc", "message": ""}],
         "errors": [],
         "model_selection": [{"term": "skew", "decision": "rejected", "validation_fitness": 2e-4, "Kc": 0.02}],
         "fixture": {"recording": "rig.h5", "parameters": {"Kc": kc}},
