@@ -8,7 +8,7 @@ Watson 1971). `compass_search` goes further down if breaks make the fitness too 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
@@ -197,50 +197,11 @@ class Problem:
         return np.concatenate([solved.columns, jacobian], axis=1), solved.target + jacobian @ fit.nonlinear
 
 
-def fit(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the lowest local minimum found. near: approximate values of some nonlinear parameters, by name.
-
-    Raises RuntimeError if no optimum can be proven.
-    """
-    start = best_start(problem.sketched(), near).nonlinear if problem.low.size else problem.low
-    return local_minimum(problem, start, near)
-
-
-def local_minimum(problem: Problem, start: Array, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the local minimum next to the nonlinear parameters `start` (q,).
-
-    near: the nonlinear parameters of a smaller model's fit, by name. Raises RuntimeError if no optimum can be proven.
-    """
-    if not start.size:
-        return problem.solve(start)
-    return at_least_contained(problem, compass_search(problem, descend(problem, start)), near)
-
-
-def at_least_contained(problem: Problem, found: Fit, near: Mapping[str, float] = MappingProxyType({})) -> Fit:
-    """Return the fit `found` or, if a model contained in its model is better, the local minimum next to that fit.
-
-    near: the nonlinear parameters of a smaller model's fit, by name.
-    """
-    for nonlinear in _contained(problem, found, near):
-        seen = solve_or_none(problem, nonlinear, found)
-        if seen is not None and seen.fitness < found.fitness:
-            found = min(found, compass_search(problem, descend(problem, nonlinear)), key=_fitness)
-    return found
-
-
-def _contained(problem: Problem, found: Fit, near: Mapping[str, float]) -> Iterator[Array]:
-    """Yield the nonlinear parameters (q,) of the models that the fit `found` contains, if they are within the bounds.
-
-    A parameter without an absent value keeps its value: another parameter of its term removes both.
-    """
-    parameters, values = problem.model.nonlinear, found.nonlinear.tolist()
-    absent = [value if one.absent is None else one.absent for one, value in zip(parameters, values, strict=True)]
-    smaller = [near.get(one.name, gone) for one, gone in zip(parameters, absent, strict=True)]
-    without = [[*values[:k], gone, *values[k + 1 :]] for k, gone in enumerate(absent)]
-    for contained in dict.fromkeys(map(tuple, (smaller, *without))):
-        nonlinear = np.array(contained)
-        if contained != tuple(values) and np.all((nonlinear >= problem.low) & (nonlinear <= problem.high)):
-            yield nonlinear
+def fit(problem: Problem) -> Fit:
+    """Return the lowest local minimum found. Raises RuntimeError if no optimum can be proven."""
+    if not problem.low.size:
+        return problem.solve(problem.low)
+    return compass_search(problem, descend(problem, best_start(problem.sketched()).nonlinear))
 
 
 def best_start(problem: Problem, near: Mapping[str, float] = MappingProxyType({})) -> Fit:

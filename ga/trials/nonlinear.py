@@ -24,7 +24,6 @@ from ga.model.separable import (
     FEW,
     Fit,
     Problem,
-    at_least_contained,
     compass_search,
     descend,
     fit,
@@ -74,7 +73,7 @@ def search_nonlinear(
     """Run `trials` searches for the nonlinear parameters of a model.
 
     Returns the trials, whose genes are all parameters (p + q,), and the fit of the best trial, which is never worse
-    than the fits of the models that this model contains. The result does not depend on `workers`. Ctrl-C ends the
+    than that of a grid of starting values. The result does not depend on `workers`. Ctrl-C ends the
     searches: the results so far are returned. Raises ValueError for settings that are not of the generational scheme.
     """
     sketch = problem.sketched(FEW)
@@ -104,7 +103,7 @@ def _polish(finished: list[_Trial], problem: Problem) -> None:
         best = min(finished, key=lambda trial: trial.fit.fitness if trial.fit else np.inf)
         found = [compass_search(problem, best.fit)] if best.fit else []
         found += [fit(problem)] if problem.model.linear else []
-        best.fit = at_least_contained(problem, min(found, key=lambda one: one.fitness))
+        best.fit = min(found, key=lambda one: one.fitness)
 
 
 def _watch(futures: list[Future[None]], progress: Callable[[float], None] | None) -> None:

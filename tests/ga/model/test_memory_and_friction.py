@@ -14,7 +14,6 @@ from scipy.signal import cont2discrete, lfilter
 from ga.model.coupling import CouplingModel, parse
 from ga.model.separable import Fit, Problem, fit
 from ga.model.sticking import is_hidden, looks_like_spring
-from ga.model.terms import TERMS, is_addable
 from ga.model.trajectory import Motion
 
 Array = NDArray[np.float64]
@@ -404,33 +403,6 @@ def test_a_stiffness_that_drifts_comes_back_with_its_mean() -> None:
     torque = KC * (1.0 - 0.2 * share) * MOTION.dtheta + BC * MOTION.dtheta_dot + NOISES
     found = identified("linear+softening", torque)
     assert found == pytest.approx({"Kc": KC, "Bc": BC, "Ks": -0.2 * KC / whole}, rel=0.01)
-
-
-TORQUE = (
-    spring_and_damper()
-    + 0.05 * (MOTION.dtheta - steady_lag(MOTION.time, 0.03))
-    + 3e-3 * np.tanh(MOTION.dtheta_dot / 1e-2)
-    + 0.4 * MOTION.dtheta**3
-    + 0.01
-    + NOISES
-)
-QUICK = {("linear+offset+cubic+skew", term) for term in ("dahl", "maxwell", "lag", "quadratic")}
-ADDED = [
-    pytest.param(name, term, marks=() if (name, term) in QUICK else pytest.mark.study)
-    for name in ("linear+offset+cubic+skew", "linear+offset+coulomb")
-    for term in TERMS
-    if is_addable(term, name.split("+")) and term not in {"backlash", "slack"}
-]
-
-
-@pytest.mark.parametrize(("name", "term"), ADDED)
-def test_no_term_makes_the_fit_worse(name: str, term: str) -> None:
-    """Flanks that only push hold no model without them."""
-    motion = MOTION.of(slice(None, None, 8))
-    less, more = (problem(text, TORQUE[::8], motion) for text in (name, f"{name}+{term}"))
-    smaller = fit(less)
-    near = dict(zip((p.name for p in less.model.nonlinear), smaller.nonlinear.tolist(), strict=True))
-    assert fit(more, near).fitness <= smaller.fitness * (1.0 + 1e-12)
 
 
 def test_the_derivative_by_a_build_up_is_as_right_where_the_joint_moves_by_a_few_microradians() -> None:

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from ga.evolution.evolution import PRESETS
 from ga.model import separable
 from ga.model.coupling import parse
-from ga.model.separable import Fit, Problem, _other_starts, best_start, compass_search, descend, fit, local_minimum
+from ga.model.separable import Fit, Problem, _other_starts, best_start, compass_search, descend, fit
 from ga.model.trajectory import Motion
 from ga.trials.nonlinear import search_nonlinear
 
@@ -281,7 +281,7 @@ def test_each_flank_of_a_gap_is_found_though_the_other_one_is_right_already(uppe
     torque = with_play(0.04, 0.01)
     model = parse("linear+offset+backlash")
     problem = Problem(model, MOTION, torque, *model.bounds(MOTION, 12.0))
-    found = local_minimum(problem, np.array([0.04 + upper - lower, 0.01 + 0.5 * (upper + lower)]))
+    found = compass_search(problem, descend(problem, np.array([0.04 + upper - lower, 0.01 + 0.5 * (upper + lower)])))
     gap, centre = found.nonlinear
     assert centre + 0.5 * gap == pytest.approx(0.03, abs=3e-4)
     assert centre - 0.5 * gap == pytest.approx(-0.01, abs=3e-4)
@@ -307,14 +307,3 @@ def test_no_trial_is_better_than_the_best_fit_returned_with_them() -> None:
     assert best.fitness == trials.fitness.min()
     assert np.array_equal(best.values, trials.best)
     assert float(np.mean(np.abs(asked.residuals(best)))) == pytest.approx(best.fitness, rel=1e-12)
-
-
-@pytest.mark.parametrize("name", ["linear+offset+coulomb+skew", "linear+offset+backlash+skew"])
-def test_a_model_is_never_worse_than_the_one_it_contains(name: str) -> None:
-    """Begun far from where the contained model is."""
-    torque = with_play(0.06, 0.03)
-    smaller, larger = problem(name.removesuffix("+skew"), torque), problem(name, torque)
-    less = fit(smaller)
-    near = dict(zip(("gap", "centre"), less.nonlinear.tolist(), strict=False))
-    start = larger.low + 0.9 * (larger.high - larger.low)
-    assert local_minimum(larger, start, near).fitness <= less.fitness * (1.0 + 1e-12)
