@@ -75,7 +75,6 @@ SWITCHES: dict[str, tuple[Switch, ...]] = {
     "test of the residuals": ((f"{_IDENTIFY}:tested", _nothing),),
     "a misfit widens": ((f"{_IDENTIFY}:with_misfit", _first),),
     "span of a spring that stiffens": ((f"{_IDENTIFY}:span_met", _nothing),),
-    "rate beside jumps": (("hil.identification.mixture.largest:rate_beside_jumps", _nothing),),
     "smooth part of a held torque": (("hil.signals.defects:smooth_torque", _first),),
     "what held set-points take off Bc": ((f"{_IDENTIFY}:most_taken_off", lambda *_: 0.0),),
     "steps of a zero": (("hil.signals.prepare:zero_steps", _none),),

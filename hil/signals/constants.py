@@ -292,11 +292,6 @@ USUAL_DRIVE = 32.0  # Hz, natural frequency of a drive that holds its set-points
 DRIVE_DAMPING = 0.75  # damping ratio of a drive
 TAKEN_OFF = 0.1  # of the rate, that a drive which the readings still follow takes off, at most
 DENSE_READINGS = 20.0  # readings in a period of the fastest motion, which follow the drive between two set-points
-EIGHTH = 1.0 / 8.0  # of a jump of the acceleration times the period: the error of the rate, on average
-OFTEN = 0.5  # part of the samples with a new set-point, from which the command does not step
-SLOWEST_STEP = 64  # samples, after which the acceleration that follows a step is at its largest
-LOW_PASSED_JUMP = 2.0  # times the acceleration that is left of a jump behind the low-pass of such a motion
-BESIDE = 3  # samples a side, whose median change of the acceleration is no jump
 
 # Fit
 IN_MEMORY = 4_000_000  # rows, all recordings together, up to which the signals are held in memory

@@ -10,7 +10,7 @@ therefore builds up over a deflection of about Fc/Kc (Dahl 1976), which stiffens
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,6 @@ from ga.model.sticking import slowest
 from ga.model.terms import PARAMETERS, TERMS, is_addable, of_kind, of_role, size_of
 from ga.model.trajectory import Motion
 from hil.identification.candidates.fits import own
-from hil.identification.deflection.held import rate_beside_jumps
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import Covariance, covariance
 from hil.identification.mixture.model_average import AKAIKE
@@ -132,7 +131,6 @@ def largest_model(selected: Selected, doubtful: Sequence[str]) -> Largest | None
         if not alike:
             likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
             likely[:, [name == _PRESLIDING for name in names]] = 1.0
-            sampling = _with_jumps(sampling, columns, float(values[names.index("Bc")]), data)
             return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
         added.remove(alike[-1])
 
@@ -152,17 +150,6 @@ def _nuisances(
     for term in model.terms:
         if term.deviation is not None and term.name in chosen:
             yield f"{_DEVIATING}{term.name}", term.deviation(seen, each, own)
-
-
-def _with_jumps(sampling: Covariance, columns: Array, damping: float, data: Signals) -> Covariance:
-    """Return the covariance of the parameters of columns (n, p), including the effect of wrong rates beside jumps of
-    the acceleration.
-    """
-    missing = rate_beside_jumps(data.motion, data.command)
-    if missing is None:
-        return sampling
-    moved = np.linalg.lstsq(columns, damping * missing, rcond=None)[0]
-    return replace(sampling, matrix=sampling.matrix + np.outer(moved, moved))
 
 
 def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:

@@ -16,7 +16,6 @@ from ga.model.coupling import parse
 from hil.exchange.importer import Column, import_table
 from hil.identification.candidates.choice import choose
 from hil.identification.identify import identify
-from hil.identification.mixture import average, largest
 from hil.identification.result import Identification
 from hil.recording.reader import Array, Recording
 from hil.recording.writer import Header, write
@@ -281,17 +280,3 @@ def test_a_column_that_drove_nothing_is_noticed_as_no_command(tmp_path: Path) ->
     found = as_table(path, {"time": "s", "torque": "N*m", "dtheta": "rad", "command": "V"}, wandering)
     assert any(one.code == "deflection-noise" for one in found.diagnostics)
     assert holds(found)
-
-
-@pytest.mark.study
-def test_the_interval_of_bc_includes_what_rates_beside_jumps_of_the_acceleration_may_be_wrong_by(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    signals = recorded(tmp_path / "a.h5", jerky, noise=2e-3, seed=3).signals
-    choice = choose(None, signals, linear_only=False)
-    assert choice.model.name == "linear"
-    given = (choice, signals, choice.described(signals), np.empty(0), {"Kc": 0.0, "Bc": 0.0})
-    monkeypatch.setattr(average, "hidden", lambda *_: [])  # it would hide the difference
-    included = average.averaged(*given)["Bc"].half_width
-    monkeypatch.setattr(largest, "rate_beside_jumps", lambda *_: None)
-    assert included > 1.05 * average.averaged(*given)["Bc"].half_width
