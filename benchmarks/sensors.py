@@ -239,7 +239,7 @@ class Outcome:
     seconds: float
 
 
-_BESIDE = {"slow-sensor", "torque-reading", "inertia-in-torque", "misfit", "skew-implausible", "late-torque"}
+_BESIDE = {"slow-sensor", "torque-reading", "inertia-in-torque", "misfit", "late-torque"}
 
 
 def outcome(bench: Bench, reading: Reading, folder: Path) -> Outcome:

@@ -196,7 +196,7 @@ def _implausible_skew(evidence: Evidence) -> list[Diagnostic]:
         f"Try --model {quoted(evidence.model.name.replace(delay, lag))}, or compare the filters of the two sensors"
     )
     # the average over models includes the other causes; a named model does not
-    return [Diagnostic("skew-implausible", text, "Bc", is_error=not (evidence.selected or _is_distinct(evidence)))]
+    return [Diagnostic("torque-reading", text, "Bc", is_error=not (evidence.selected or _is_distinct(evidence)))]
 
 
 def _is_distinct(evidence: Evidence) -> bool:

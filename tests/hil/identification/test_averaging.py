@@ -115,7 +115,7 @@ def test_value_exact_optimum_and_interval_agree_whatever_the_joint(
 def test_a_skew_of_more_than_a_tick_is_said_to_be_none_of_a_recorder(make_recording: Maker) -> None:
     path = make_recording(samples=1000, change=lambda channels: sweep(channels, 5e-3, 1))
     found = identify([path], parse("linear+skew"), SEARCH)
-    assert "skew-implausible" in [one.code for one in found.diagnostics]
+    assert "torque-reading" in [one.code for one in found.diagnostics]
 
 
 @pytest.mark.parametrize(("delayed", "rows"), [pytest.param(True, 4000, marks=pytest.mark.study), (False, 465)])
@@ -128,7 +128,7 @@ def test_a_named_skew_that_no_recorder_has_is_an_error_where_another_cause_expla
             channels["torque"] += 2e-6 * np.gradient(channels["dtheta_dot"], channels["time"])
 
     found = identify([make_recording(samples=rows, change=change)], parse("linear+offset+skew"), SEARCH)
-    said = [one for one in found.diagnostics if one.code == "skew-implausible"]
+    said = [one for one in found.diagnostics if one.code == "torque-reading"]
     assert [one.is_error for one in said] == [not delayed]
     assert delayed or abs(found["Bc"].value / BC - 1.0) > 0.1
 
