@@ -252,8 +252,3 @@ class Term:
     def carried(self) -> bool:
         """Return whether the torque of the term is part of the carried torque, which friction multiplies."""
         return self.role in {"coupling", "damping", "curve", "change", "branch"}
-
-    @property
-    def uses_deflection(self) -> bool:
-        """Return whether its columns may depend on the deflection beyond a gap, and so on the gap."""
-        return self.carried or self.role == "other"

@@ -39,9 +39,6 @@ CONSIDERED: Final = tuple(
 )
 """The common terms, and those of the smallest model."""
 
-RARER: Final = tuple(t.name for t in _RECORDS if t.selection == "misfit")
-"""The rare terms, which model selection keeps only with strong evidence."""
-
 SMALLEST: Final = "+".join(t.name for t in _RECORDS if t.selection == "smallest")
 """The name of the smallest model that is selected."""
 

@@ -16,6 +16,8 @@ REACHES: Final = (0.002, 0.8)
 deflection.
 """
 
+_LENGTHS: Final = (0.005, 0.02, 0.06, 0.2, 0.6)  # the starting values of that deflection
+
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
     span = float(motion.dtheta.max() - motion.dtheta.min())
@@ -73,8 +75,7 @@ def _over(name: str, about: str, kind: Kind) -> Parameter:
     """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal.
     about: its meaning.
     """
-    starts = (0.005, 0.02, 0.06, 0.2, 0.6)
-    return searched(name, "rad", about, kind, **SCALE, starts=starts)
+    return searched(name, "rad", about, kind, **SCALE, starts=_LENGTHS)
 
 
 _FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", "presliding friction", **STRENGTH)

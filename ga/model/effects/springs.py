@@ -36,6 +36,8 @@ SHORTEST_RELAXATION: Final = 0.02
 equals a damping.
 """
 
+_TIMES: Final = (0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6)  # the starting values of a relaxation time
+
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
 
@@ -134,7 +136,7 @@ def _branch(number: int, needs: str, example: str) -> Term:
                 absent=None,
                 positive=True,
                 open_ended=True,
-                starts=(0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6),
+                starts=_TIMES,
             ),
         ),
         columns=lambda r: (_unrelaxed(r, r.angle),),

@@ -8,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from hil.identification.fitting.blocks import Block, Blocks
 from hil.recording.ahead import Progress, ahead
 from hil.recording.output import check_space, writing
 from hil.signals import constants as c
+
+_BYTES: Final = np.dtype(np.float64).itemsize  # of a value in the file
 
 
 class DiskTable:
@@ -31,7 +33,7 @@ class DiskTable:
         self._width = width
         self._torque = rows * width  # where it begins: behind the columns, so that a block of either is read as it is
         self._progress = progress
-        check_space(beside, rows * (width + 1) * 8)
+        check_space(beside, rows * (width + 1) * _BYTES)
         with writing(beside):
             self._file = tempfile.TemporaryFile(dir=beside.parent, buffering=0)  # noqa: SIM115 - closed by __exit__
         self._one_reader = threading.Lock()
@@ -51,7 +53,7 @@ class DiskTable:
         self.rows += len(torque)
 
     def _write(self, values: Array, at: int) -> None:
-        self._file.seek(8 * at)
+        self._file.seek(_BYTES * at)
         if self._file.write(np.ascontiguousarray(values).data) != values.nbytes:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -78,5 +80,5 @@ class DiskTable:
             yield columns, torque
 
     def _fill(self, values: Array, at: int) -> None:
-        self._file.seek(8 * at)
+        self._file.seek(_BYTES * at)
         self._file.readinto(values.data)
