@@ -31,7 +31,7 @@ from ga.model.terms import CONSIDERED, PARAMETERS, TERMS, of_kind, size_of
 from hil.identification.candidates.choice import Choice
 from hil.identification.deflection.correction import read_with_errors
 from hil.identification.mixture.hidden import hidden, integrated
-from hil.identification.mixture.largest import BENCH, Largest, Selected, contains, largest_model
+from hil.identification.mixture.largest import BENCH, Largest, Selected, largest_model
 from hil.identification.mixture.model_average import AKAIKE, average
 from hil.identification.result import Step
 from hil.signals import constants as c
@@ -75,9 +75,6 @@ def averaged(
     if not means:
         return {}
     found, against = [mean for mean, _ in means], [odds for _, odds in means]
-    if not contains(largest, selected):
-        own = {name: selected.values[name] + float(more[largest.names.index(name)]) for name in c.COUPLING}
-        found = [{name: _about(own[name], one[name]) for name in c.COUPLING} for one in found]
     best = against.index(min(against))
     for rival, odds in _rivals(choice, (*doubtful, *BENCH), found[best]):
         found, against = [*found, rival], [*against, against[best] + odds]
@@ -199,13 +196,6 @@ def _by_errors(larger: Largest, signals: Signals, used: Mask) -> Array:
     if errors is not None:
         found[:count] = errors.change
     return found
-
-
-def _about(value: float, mean: Averaged) -> Averaged:
-    """Return `value` as an estimate. Its half width combines that of `mean` with the distance between `value` and
-    `mean`.
-    """
-    return Averaged(value, math.hypot(mean.half_width, mean.value - value))
 
 
 def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged]:

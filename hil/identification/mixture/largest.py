@@ -26,7 +26,6 @@ from hil.identification.candidates.fits import own
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import Covariance, covariance
 from hil.identification.mixture.model_average import AKAIKE
-from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
 _ALWAYS = tuple(name for name, term in TERMS.items() if term.bench == "always")
@@ -166,24 +165,3 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     seen = whole.delayed(size_of(values, "delay"))
     found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
     return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
-
-
-def contains(largest: Largest, selected: Selected) -> bool:
-    """Return whether the larger fit, with the added parameters set to zero, equals the smaller fit within its interval.
-
-    Both are fits to the same data. They can differ because residuals are correlated over longer times than the average
-    assumes. Then the covariance of the larger fit does not describe how its parameters change together, and the average
-    would be wrong.
-    """
-    own = selected.values
-    names, matrix = largest.names, largest.sampling.matrix
-    added = [names.index(name) for name in (*largest.added_names, _PRESLIDING) if name in names]
-    added += [at for at, name in enumerate(names) if name.startswith(_DEVIATING)]
-    if not added:
-        return True
-    gain = np.linalg.lstsq(matrix[np.ix_(added, added)], matrix[added], rcond=None)[0]  # (added, p)
-    restricted = largest.values - largest.values[added] @ gain
-    variance = matrix.diagonal() - np.einsum("ap,ap->p", matrix[added], gain)
-    with np.errstate(invalid="ignore"):  # one that is not distinct has no reach, as beside a factor of zero
-        reach = largest.sampling.quantile * np.sqrt(np.maximum(variance, 0.0))
-    return all(abs(restricted[names.index(name)] - own[name]) <= reach[names.index(name)] for name in c.COUPLING)

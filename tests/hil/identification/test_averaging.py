@@ -231,18 +231,6 @@ def test_the_interval_of_kc_holds_an_unevenness_of_the_spring_that_noise_hides(
 
 
 @pytest.mark.study
-def test_an_average_that_leads_away_from_the_model_widens_the_interval_and_leaves_the_value(
-    make_recording: Maker, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(average, "contains", lambda *_: False)
-    bc = identify([make_recording(change=lambda channels: sweep(channels, 0.0, 1))], None, SEARCH)["Bc"]
-    assert bc.conditional is not None
-    (low, high), (least, most) = bc.ci95, bc.conditional.ci95
-    assert 0.5 * (low + high) == pytest.approx(bc.conditional.value, abs=0.1 * (high - low))
-    assert high - low > 1.2 * (most - least)
-
-
-@pytest.mark.study
 def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(make_recording: Maker) -> None:
     def stiffens(channels: dict[str, Array]) -> None:
         angle = channels["dtheta"]
