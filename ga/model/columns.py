@@ -53,15 +53,15 @@ class ColumnSource:
         present: each term, whether its torque is no linear filter of the motion, and its parameters. Columns that must
         be filtered are filtered together: that takes half as long.
         """
-        computed = [self._computed(*one, changing) for one in present]
+        computed = [self._computed(term, bends, values, changing) for term, bends, values in present]
         bent = [column for columns, _, filtered in computed if filtered for column in columns]
         whole, rows = self.motion.whole
         passed = iter(whole.filtered(np.stack(bent)) if bent else ())
-        found: list[Array] = []
+        requested: list[Array] = []
         for columns, beyond, filtered in computed:
             every = islice(passed, len(columns)) if filtered else columns
-            found += [column[rows] for column in every] if beyond else every
-        return found
+            requested += [column[rows] for column in every] if beyond else every
+        return requested
 
     def _computed(
         self, term: Term, bends: bool, values: Array, changing: tuple[Motion, Motion] | None
@@ -72,20 +72,20 @@ class ColumnSource:
         beyond = reaches(self.motion, term, bends=bends)
         regressors = self.whole if beyond else self.near
         regressors = replace(regressors, own=values) if len(values) else regressors  # thousands of times in a selection
-        columns = _computed(term, regressors, None if changing is None else changing[beyond])
+        columns = _columns_of(term, regressors, None if changing is None else changing[beyond])
         return columns, beyond, beyond and bends and self.motion.behind is not None
 
 
-def _computed(term: Term, own: Regressors, changing: Motion | None) -> tuple[Array, ...]:
-    found: tuple[Array, ...] = ()
+def _columns_of(term: Term, regressors: Regressors, changing: Motion | None) -> tuple[Array, ...]:
+    columns: tuple[Array, ...] = ()
     if term.columns is not None and changing is None:
-        found = term.columns(own)
+        columns = term.columns(regressors)
     elif term.rates is not None and changing is not None:
-        found = term.rates(own, changing)
+        columns = term.rates(regressors, changing)
     elif term.columns is not None and changing is not None:
-        moved = changing.dtheta * own.contact
-        found = (term.pushed(own, np.ones(1), moved) if term.pushed else np.zeros_like(moved),)
-    return tuple(own.loaded(term, *pair) for pair in zip(found, term.parameters, strict=False))
+        moved = changing.dtheta * regressors.contact
+        columns = (term.pushed(regressors, np.ones(1), moved) if term.pushed else np.zeros_like(moved),)
+    return tuple(regressors.loaded(term, *pair) for pair in zip(columns, term.parameters, strict=False))
 
 
 def reaches(motion: Motion, term: Term, *, bends: bool) -> bool:
