@@ -29,7 +29,7 @@ from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
 from hil.recording.channels import Row, row_of
 from hil.stand.file import Stand
-from hil.stand.opening import require_watchdog
+from hil.stand.opening import limits_below_one_count, require_watchdog
 from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
@@ -58,8 +58,8 @@ class Recorder:
 
     scratch: the folder for the set-points of a long run, which are kept on disk; None: the system's temporary folder.
     alarm: called at once if the torque may still be on, see `confirm_torque_off`; None: it is logged. Raises WrongUse
-    for a stand without limits, and for a drive whose torque stays on when this computer stops, unless the stand file
-    accepts that.
+    for a stand without limits, or with one below a count of its drive, and for a drive whose torque stays on when this
+    computer stops, unless the stand file accepts that.
     """
 
     def __init__(
@@ -75,6 +75,8 @@ class Recorder:
     ) -> None:
         limits = stand.checked_limits()
         require_watchdog(stand, servo.info)
+        if too_small := limits_below_one_count(stand, servo.info):
+            raise WrongUse(f"{too_small}. Nothing was driven")
         self._torque_source = stand.stand.torque_source
         self._transmission = Transmission.of(stand.stand)
         self._limits = limits

@@ -29,7 +29,7 @@ from hil.errors import WrongUse
 from hil.guardian.servo import Watch
 from hil.stand.devices import check_backend, found_by_search, restrictions
 from hil.stand.file import LimitsTable, Stand
-from hil.stand.opening import open_servo, refused_neighbours, require_watchdog
+from hil.stand.opening import limits_below_one_count, open_servo, refused_neighbours, require_watchdog
 from hil.stand.transmission import Transmission
 
 _WATCH = Watch(silence=0.25, longest=60.0)  # the torque is small here, and a slow computer is to be examined too
@@ -135,7 +135,9 @@ def _connected(
     try:
         checks.info = servo.info
         checks.passed("connection", _identity(servo.info))
-        yield servo
+        if too_small := limits_below_one_count(stand, servo.info):
+            checks.failed("limits", too_small)
+        yield None if too_small else servo
     except DriverError as error:
         checks.failed("drive", str(error))
     finally:

@@ -15,6 +15,7 @@ from hil.guardian.servo import GuardedServo, Watch, guarded
 from hil.stand.devices import BACKENDS, check_backend, open_backend, open_sensor
 from hil.stand.file import Stand
 from hil.stand.servo import StandServo
+from hil.stand.transmission import Transmission
 from hil.standard_files import open_standard_files
 
 
@@ -100,6 +101,25 @@ def require_quiet_neighbours(stand: Stand, servo: Servo) -> None:
     refused = refused_neighbours(stand, servo)
     if refused:
         raise WrongUse(f"{'; '.join(refused)}. Nothing was driven")
+
+
+def limits_below_one_count(stand: Stand, info: ServoInfo) -> str:
+    """Return a sentence about the limits that are smaller than one count of the drive; "" if there are none."""
+    limits, way = stand.checked_limits(), Transmission.of(stand.stand)
+    counts = (
+        ("torque", "N m", limits.torque, way.torque(info.torque_lsb)),
+        ("deflection", "rad", limits.deflection, way.rate(info.position_lsb)),
+        ("velocity", "rad/s", limits.velocity, way.rate(info.velocity_lsb)),
+    )
+    small = [
+        f"limits.{name} {limit:.3g} {unit} (one count: {lsb:.3g})" for name, unit, limit, lsb in counts if limit < lsb
+    ]
+    if not small:
+        return ""
+    return (
+        f"{info.model} {info.serial} cannot keep to a limit below one of its counts at the joint: {', '.join(small)}. "
+        "Kc and Bc would be made of its rounding: raise this limit, or take a smaller motor or a higher gear ratio"
+    )
 
 
 def require_watchdog(stand: Stand, info: ServoInfo) -> None:

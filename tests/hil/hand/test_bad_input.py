@@ -80,17 +80,35 @@ WRONG = {
         "thumb_chirp_1 (servo 1) failed: drive 3 on the same bus (xl330-m288) may hold torque",
         "index_chirp_1 (servo 2) failed: drive 3 on the same bus (xl330-m288) may hold torque",
     ),
+    SHORT_HAND.replace("deflection = 1.5", 'deflection = "1 mrad"'): (
+        "index_chirp_1 (servo 2) failed: xl330-m288 id 2 cannot keep to a limit below one of its counts at the joint: "
+        "limits.deflection 0.001 rad (one count: 0.00153)",
+    ),
 }
+CASES = ("a servo does not answer", "a servo that is on is not in the file", "a limit that no drive can keep to")
 
 
-@pytest.mark.parametrize("text", WRONG, ids=["a servo does not answer", "a servo that is on is not in the file"])
-def test_a_hand_is_not_driven_on_a_bus_that_is_not_as_its_file_says(text: str, hil: Hil, bus: Cut) -> None:
+@pytest.mark.parametrize("text", WRONG, ids=CASES)
+def test_a_hand_is_not_driven_on_a_bus_that_is_not_as_its_file_says(
+    text: str, hil: Hil, bus: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    searched: list[str] = []
+
+    def search(name: str, table: object) -> list[str]:
+        del table
+        searched.append(name)
+        return []
+
+    monkeypatch.setattr("hil.stand.devices.found_by_search", search)
     Path("hand.toml").write_text(text)
     bus.devices[2].write(64, bytes(["middle" not in text]))
     with PtyLine(Path("ttyHAND"), bus):
         ended = hil("hand", "hand.toml", "--yes", "--workers", 1)
-    assert ended.status == 1
+        checked = hil("doctor", "hand.toml", "--rate", 20)
+    assert (ended.status, checked.status) == (1, 3)
     for said in WRONG[text]:
         assert said in ended.err
+        assert checked.out.count(said.partition(" failed: ")[2]) == 1  # and for each further joint: as with thumb
+    assert searched == ["dynamixel"] * ("id = 7" in text)
     assert recorded() == set()
     assert not any(servo.motor.enabled for servo in bus.devices[:2])

@@ -71,41 +71,6 @@ def test_each_joint_is_checked_although_one_of_them_is_wrong(hil: Hil, bus: Pack
     assert not any(device.motor.enabled for device in bus.devices)
 
 
-def test_a_servo_that_does_not_answer_is_named_at_its_joint_and_searched_once(
-    hil: Hil, bus: PacketBus, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    Path("hand.toml").write_text(HAND.replace("id = 2", "id = 7").replace("id = 3", "id = 8"))
-    searched: list[str] = []
-
-    def search(name: str, table: object) -> list[str]:
-        del table
-        searched.append(name)
-        return ["a xc330-t288 answers with id 2 at 1000000 baud"]
-
-    monkeypatch.setattr("hil.stand.devices.found_by_search", search)
-    ended = hil("doctor", "hand.toml", "--rate", 20, "--json")
-    assert ended.status == 3
-    joints = {name: table["checks"] for name, table in ended.json["joints"].items()}
-    said = {name: "; ".join(one["message"] for one in checks) for name, checks in joints.items()}
-    assert "servo 7 (index) of this hand does not answer" in said["thumb"]
-    assert "no servo 7 answers on ttyHAND at 1000000 baud" in said["index"]
-    assert "But a xc330-t288 answers with id 2" in said["middle"]
-    assert searched == ["dynamixel"]
-    assert not any(device.motor.enabled for device in bus.devices)
-
-
-def test_a_servo_that_is_on_and_not_in_the_file_is_named_with_every_joint(hil: Hil, bus: PacketBus) -> None:
-    Path("hand.toml").write_text(
-        HAND.rpartition("[[joint]]")[0].replace("id = 2", 'id = 2\ndynamixel.model = "xc330-t288"')
-    )
-    bus.devices[2].write(64, b"\1")
-    ended = hil("doctor", "hand.toml", "--rate", 20)
-    assert ended.status == 3
-    assert ended.out.count("drive 3 on the same bus (xl330-m288) may hold torque: its Torque Enable(64) is 1") == 1
-    assert "as with thumb" in ended.out
-    assert [device.motor.enabled for device in bus.devices] == [False, False, True]  # whoever switched it on decides
-
-
 def test_commissioning_goes_from_joint_to_joint_says_what_is_left_and_ends_where_a_person_declines(
     hil: Hil, bus: PacketBus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
