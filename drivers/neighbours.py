@@ -1,10 +1,19 @@
-"""What a servo can tell about the other drives on its bus: which of them hold torque. They are only read."""
+"""What a servo can tell about the other drives on its bus: which of them hold torque, and how far they turn while it is
+driven. They are only read.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
+
+from drivers.servo import DriverError
+
+_COUNTS, _SHARE, _MOST = 10, 0.5, 512
+"""With all joints locked, a neighbour turns by fewer counts than the first number, or by less than this share of the
+driven servo's turn, and by fewer counts than the last number in any case.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,3 +52,53 @@ class JoinsHand(Protocol):
         From arming on, a neighbour that reports an error, does not reply or turns raises DriverError in `exchange`, and
         the torque-off is confirmed only if every servo of the hand is off.
         """
+
+
+@runtime_checkable
+class SeesNeighbours(Protocol):
+    """A servo that watches how far the other motors of a hand turn while it is driven."""
+
+    def turned(self) -> Mapping[str, float]:
+        """Return by how much each motor has turned since this servo was armed, rad at its shaft."""
+
+
+@dataclass(slots=True)
+class Swing:
+    """The range of positions, counts, that a servo has had. turn: counts after which its position begins again at zero,
+    0 if it never does.
+    """
+
+    turn: int
+    last: int = 0
+    position: int = 0
+    low: int = 0
+    high: int = 0
+
+    def begin(self, raw: int) -> None:
+        """Begin at the position `raw`."""
+        self.last, self.position, self.low, self.high = raw, 0, 0, 0
+
+    def note(self, raw: int) -> int:
+        """Add the position `raw` and return the range so far."""
+        step, self.last = raw - self.last, raw
+        self.position += (step + self.turn // 2) % self.turn - self.turn // 2 if self.turn else step
+        self.low, self.high = min(self.low, self.position), max(self.high, self.position)
+        return self.range
+
+    @property
+    def range(self) -> int:
+        """The range of positions so far, counts."""
+        return self.high - self.low
+
+
+def check_still(driven: str, turned: int, neighbour: str, moved: int) -> None:
+    """Raise DriverError if a neighbour has `moved` by as many counts as no locked joint lets it. turned: counts by
+    which the driven servo has turned.
+    """
+    if moved > max(_COUNTS, min(_SHARE * turned, _MOST)):
+        raise DriverError(
+            f"{driven} is driven and turned by {turned} counts, and {neighbour} turned by {moved} counts: the motor "
+            "turns the wrong joint, whose Kc and Bc would be taken for this one's, or the palm yields as much as the "
+            "cable; correct the ids in the hand file, look for a second id (Secondary ID) and for swapped tendons, and "
+            "lock every joint"
+        )

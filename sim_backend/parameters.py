@@ -109,6 +109,8 @@ class FixtureParameters:
     """N m/rad, from joint to ground."""
     damping: Annotated[NotNegative, Unit("N*m*s/rad")] = 2e-3
     """N m s/rad, from joint to ground."""
+    palm: Annotated[Positive, Unit("N*m/rad")] = 1e9
+    """N m/rad, stiffness of the palm, on which the fixtures of all joints of a hand stand."""
     inertia: Annotated[Positive, Unit("kg*m^2")] = 5e-6
     """kg m^2 of the locked joint."""
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from drivers.clock import Clock
@@ -36,6 +38,7 @@ from sim_backend.faults import (
     within,
 )
 from sim_backend.integrator import STATE
+from sim_backend.neighbours import Neighbours
 from sim_backend.plant import (
     CELL,
     JOINT,
@@ -80,10 +83,19 @@ class TrueState:
 class SimServo:
     """A simulated servo. The same parameters, seed, faults and commands give the same samples bit for bit.
 
-    faults: planned faults, with times in s since construction. Raises ValueError if the seed is negative.
+    faults: planned faults, with times in s since construction. neighbours: as the `turns` of `Neighbours`. Raises
+    ValueError if the seed is negative.
     """
 
-    def __init__(self, parameters: SimParameters, *, seed: int, clock: Clock, faults: tuple[Fault, ...] = ()) -> None:
+    def __init__(
+        self,
+        parameters: SimParameters,
+        *,
+        seed: int,
+        clock: Clock,
+        faults: tuple[Fault, ...] = (),
+        neighbours: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
         self._parameters = parameters.resolved()
         self._link, self._delay = self._parameters.link, self._parameters.drive.command_delay
         self._one_way = 0.5 * self._link.round_trip
@@ -92,6 +104,8 @@ class SimServo:
         broken = any(isinstance(fault, WatchdogBroken) for fault in faults)
         self._drive = Drive(self._parameters, watchdog=math.inf if broken else self._parameters.link.watchdog)
         self._sensors = Sensors(self._parameters)
+        self._neighbours = Neighbours(self._drive, neighbours, self._sensors.position_lsb)
+        self._watches = bool(neighbours)
         self._draws = Noise(seed).draws
         self._plan = faults
         self._link_ends = link_ends(faults)
@@ -133,6 +147,7 @@ class SimServo:
             )
         with self._gate.arming(limits):
             self._under_way.clear()
+            self._neighbours.begin()
             self._drive.enable(limits)
 
     def exchange(self, command: Command) -> Sample:
@@ -140,7 +155,8 @@ class SimServo:
         lost.
 
         The set-point acts only after its arrival, so the sample holds the state before the set-point. After a fault is
-        latched, every call raises it. Raises NoReply, BadReply, LinkLost, DeviceFault.
+        latched, every call raises it. Raises NoReply, BadReply, LinkLost, DeviceFault, and DriverError if a neighbour
+        turns.
         """
         admitted = self._gate.admit(command)
         out, back, lost, motor_noise, cell_noise = next(self._draws)
@@ -164,6 +180,8 @@ class SimServo:
         status = _GOOD
         if self._plan:
             reading, status = self._planned(reading, arrived - opened)
+        if self._watches and self._gate.armed:
+            self._neighbours.look()
         saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and admitted.clipped)
         if saturated:
             status |= Status.SATURATED
@@ -190,6 +208,10 @@ class SimServo:
     def close(self) -> None:
         """Switch the torque off, then close the link. Never raises."""
         self._gate.close()
+
+    def turned(self) -> Mapping[str, float]:
+        """See `drivers.neighbours.SeesNeighbours`."""
+        return self._neighbours.turned()
 
     def truth(self) -> dict[str, float]:
         """Return the true parameters, which the recording stores in `/truth`: SI units, at the joint unless the name

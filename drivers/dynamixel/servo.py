@@ -141,6 +141,10 @@ class DynamixelServo:
         """See `drivers.neighbours.JoinsHand`."""
         self._hand.join(joints)
 
+    def turned(self) -> dict[str, float]:
+        """See `drivers.neighbours.SeesNeighbours`."""
+        return self._hand.turned(POSITION_LSB)
+
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
         series, beside = self._series, self._hand.neighbours

@@ -163,6 +163,10 @@ class FeetechServo:
         """See `drivers.neighbours.JoinsHand`."""
         self._hand.join(joints)
 
+    def turned(self) -> dict[str, float]:
+        """See `drivers.neighbours.SeesNeighbours`."""
+        return self._hand.turned(self._model.position_lsb)
+
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send.
 

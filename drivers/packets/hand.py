@@ -6,9 +6,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from drivers.neighbours import Swing, check_still
 from drivers.retry import ATTEMPTS, retry
 from drivers.servo import BadReply, DeviceFault, DriverError, LinkLost, NoReply
 
@@ -18,34 +18,6 @@ if TYPE_CHECKING:
 
 _EVERY = 10
 """Exchanges between two readings of a neighbour: one neighbour is read at a time, so that a tick stays short."""
-_COUNTS, _SHARE, _MOST = 10, 0.5, 512
-"""With all joints locked, a neighbour turns by fewer counts than the first number, or by less than this share of the
-driven servo's turn, and by fewer counts than the last number in any case.
-"""
-
-
-@dataclass(slots=True)
-class Swing:
-    """The range of positions, counts, that a servo has had. turn: counts after which its position begins again at zero,
-    0 if it never does.
-    """
-
-    turn: int
-    last: int = 0
-    position: int = 0
-    low: int = 0
-    high: int = 0
-
-    def begin(self, raw: int) -> None:
-        """Begin at the position `raw`."""
-        self.last, self.position, self.low, self.high = raw, 0, 0, 0
-
-    def note(self, raw: int) -> int:
-        """Add the position `raw` and return the range so far."""
-        step, self.last = raw - self.last, raw
-        self.position += (step + self.turn // 2) % self.turn - self.turn // 2 if self.turn else step
-        self.low, self.high = min(self.low, self.position), max(self.high, self.position)
-        return self.high - self.low
 
 
 class HandBus:
@@ -133,7 +105,11 @@ class HandBus:
         self._ways[ident] = self._ways.pop(ident)  # the next one in turn is now the first
         if alert := way.alert & ~self._alerts[ident]:
             raise DeviceFault(alert, f"{self._called(ident)} of this hand reports an error (0x{alert:02x})")
-        self._check_still(ident, self._swings[ident].note(self._counts(data)), turned)
+        check_still(f"servo {self._ident}", turned, self._called(ident), self._swings[ident].note(self._counts(data)))
+
+    def turned(self, count: float) -> dict[str, float]:
+        """See `drivers.neighbours.SeesNeighbours`. count: rad in one count."""
+        return {self._names[ident]: count * self._swings[ident].range for ident in self._ways}
 
     def switch_off(self, driven: Callable[[], None]) -> None:
         """Switch off the torque of every servo of the hand with one packet, then wait for each one's confirmation.
@@ -164,18 +140,6 @@ class HandBus:
         if wrong:
             raise DriverError("; ".join(wrong))
         self.watches = False
-
-    def _check_still(self, ident: int, moved: int, turned: int) -> None:
-        """Raise DriverError if a neighbour has `moved` by as many counts as no locked joint lets it. turned: counts by
-        which the driven servo has turned.
-        """
-        if moved > max(_COUNTS, min(_SHARE * turned, _MOST)):
-            raise DriverError(
-                f"servo {self._ident} is driven and turned by {turned} counts, and {self._called(ident)} turned by "
-                f"{moved} counts: the motor turns the wrong joint, whose Kc and Bc would be taken for this one's; "
-                "correct the ids in the hand file, look for a second id (Secondary ID) and for swapped tendons, and "
-                "lock every joint"
-            )
 
     def _called(self, ident: int) -> str:
         return f"servo {ident} ({self._names[ident]})"

@@ -59,7 +59,8 @@ class Outcome:
     complete or was stopped on request. signal: number of the signal that requested the stop. alarm: a sentence to show
     first if the torque may still be on, otherwise "". moved: a sentence that says where the recording is, if its file
     was removed during the run or could not be made final. exceeded: for each limit that was exceeded beyond the noise
-    without ending the run, how far and since when. phases: the phases of the run.
+    without ending the run, how far and since when. neighbours: which other motor of a hand turned most, "" without one.
+    phases: the phases of the run.
     """
 
     samples: int = 0
@@ -73,4 +74,5 @@ class Outcome:
     alarm: str = ""
     moved: str = ""
     exceeded: list[str] = field(default_factory=list)
+    neighbours: str = ""
     phases: Phases = field(default_factory=Phases)

@@ -15,6 +15,7 @@ from statistics import fmean
 
 import numpy as np
 
+from drivers.neighbours import SeesNeighbours
 from drivers.servo import BadReply, Command, Limits, NoReply, Quantity, Sample, Servo, ServoInfo, Status
 from drivers.torque_off import Alarm, Driven, confirm_torque_off, log_alarm
 from hil.acquisition.excitation import Profile
@@ -29,7 +30,7 @@ from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
 from hil.recording.channels import Row, row_of
 from hil.stand.file import Stand
-from hil.stand.opening import limits_below_one_count, require_watchdog
+from hil.stand.opening import innermost, limits_below_one_count, require_watchdog
 from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
@@ -356,6 +357,11 @@ class Recorder:
             since = self._servo.clock.now() - self._start if math.isfinite(self._start) else 0.0
             for text in outcome.exceeded:
                 self._sink.event(since, "over-limit", text)
+            inner = innermost(self._servo)
+            if isinstance(inner, SeesNeighbours) and (turned := inner.turned()):
+                name = max(turned, key=turned.__getitem__)
+                outcome.neighbours = f"of the motors that are off, {name} turned most: {1e3 * turned[name]:.3g} mrad"
+                self._sink.event(since, "neighbours", outcome.neighbours)
             if outcome.error is not None:
                 self._sink.event(since, type(outcome.error).__name__, outcome.end_reason)
         except Exception as error:  # noqa: BLE001 - in any case the data is kept

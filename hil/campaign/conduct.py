@@ -78,7 +78,8 @@ def record_all(plan: Plan, journal: Journal, desk: Desk) -> None:
         journal.keep(run)
         left = f"; {plan.seconds(due[at + 1 :]) / 60.0:.1f} min left" if due[at + 1 :] else ""
         said = f"{ended.outcome.samples} samples, {ended.outcome.lost} lost{left}"
-        desk.say(f"{at + 1} of {len(due)}, {run.name}: {said}")
+        turned = f"; {ended.outcome.neighbours}" if ended.outcome.neighbours else ""
+        desk.say(f"{at + 1} of {len(due)}, {run.name}: {said}{turned}")
         for one in ended.diagnostics:
             if one.is_error:
                 desk.say(f"{run.name}: {one.message}")

@@ -16,7 +16,8 @@ from hil.cli.terminal import UNTRUSTWORTHY, detail, out
 from hil.printable import quoted
 
 HAND = """\
-# A hand with three joints of the simulator: the tendon of the finger's flexor passes a second joint.
+# A hand with three joints of the simulator: the tendon of the finger's flexor passes a second joint,
+# and the palm yields.
 [hand]
 backend = "sim"
 repeats = 1
@@ -28,6 +29,8 @@ torque_source = "joint"
 torque = "30 mN*m"
 deflection = 1.0
 velocity = 100.0
+[sim.fixture]
+palm = 3.0
 [[joint]]
 name = "index_mcp"
 also_moves = {index_pip = 0.75}

@@ -96,12 +96,14 @@ def _hand(name: str, path: Path, words: Mapping[str, Any]) -> dict[str, Any]:
     if extra := [key for key in ("model", "idents", "parameters", "baudrate") if words[key]]:
         named = {"idents": "id", "parameters": "stand"}
         raise WrongUse(f"--hand takes no --{named.get(extra[0], extra[0])}: {path} says it for each joint")
-    servos, rates = [], set()
-    for joint in load(path).joints:
+    servos, rates, joints = [], set(), load(path).joints
+    idents = {one.name: getattr(one.stand.devices.get(name), "id", 0) for one in joints}
+    for joint in joints:
         if joint.stand.stand.backend != name:
             raise WrongUse(f"joint {joint.name} of {path} is no {name}: its backend is {joint.stand.stand.backend}")
         table = joint.stand.devices[name]
-        servos.append(OnLine(table.model, table.id, joint.stand.simulated()))
+        turns = {idents[other]: turn for other, turn in joint.stand.simulated_neighbours().items()}
+        servos.append(OnLine(table.model, table.id, joint.stand.simulated(), turns))
         rates.add(table.baudrate)
     if len(rates) > 1:
         raise WrongUse(f"{path}: the servos on one line have one baud rate, not {', '.join(map(str, sorted(rates)))}")

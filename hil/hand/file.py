@@ -18,6 +18,7 @@ from annotated_types import Unit
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.errors import WrongUse, meant, unknown
+from hil.hand.palm import Tendon, yields
 from hil.printable import quoted
 from hil.quantities import Place
 from hil.recording.input import read_text
@@ -74,6 +75,11 @@ class JointTable(_Table):
     def joint(self) -> str:
         """The joint that the motor turns."""
         return self.moves or self.name
+
+    @property
+    def row(self) -> dict[str, float]:
+        """The turns of every joint that the motor turns, for one turn of its own."""
+        return {self.joint: 1.0, **self.also_moves}
 
 
 class _File(_Table):
@@ -154,7 +160,9 @@ def parse(text: str, name: str = "hand.toml") -> Hand:
     expanded = _Expanded(text, name, table, file)
     stands = expanded.stands()
     expanded.check_addresses(stands)
-    stands = [_with_hand_ids(stand, stands) for stand in stands]
+    pairs = list(zip(file.joint, stands, strict=True))
+    turns = yields([Tendon(one.name, s.stand.gear_ratio, one.joint, one.row, s.sim.fixture) for one, s in pairs])
+    stands = [replace(_with_hand_ids(stand, stands), yields=turns[one.name]) for one, stand in pairs]
     made = [
         HandJoint(keys.name, stand, MappingProxyType(dict(keys.also_moves)), keys.routing_uncertainty, keys.joint)
         for keys, stand in zip(file.joint, stands, strict=True)

@@ -112,7 +112,8 @@ class Stand:
     backend. sensor: kind and table of the joint sensor, None without a joint sensor. text: the file as written.
     calibration: the table that `hil calibrate` wrote. winding: None if the file has no [winding]. keeps_torque: whether
     each drive, by name, kept its torque in a test. path: of the file, None if the stand was not read from a file.
-    joint: the name of the joint if that file describes a hand, "" if it describes this stand only.
+    joint: the name of the joint if that file describes a hand, "" if it describes this stand only. yields: in a
+    simulated hand, for 1 N m in this coupling: rad by which this locked joint yields and each other motor turns.
     """
 
     stand: StandTable
@@ -125,6 +126,7 @@ class Stand:
     keeps_torque: Mapping[str, bool] = field(default_factory=dict)
     path: Path | None = None
     joint: str = ""
+    yields: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def sim(self) -> SimParameters:
@@ -143,14 +145,22 @@ class Stand:
     def simulated(self) -> SimParameters:
         """Return the parameters of [sim]. What [sim.motor] does not set is taken from [stand].
 
-        Inertia and damping are taken if the file states them; the gear ratio always, because the recorder uses it.
+        Inertia and damping are taken if the file states them; the gear ratio always, because the recorder uses it. In a
+        hand, the lock is as stiff as those of all joints that the tendon passes, with the palm.
         """
         stated = self.stand.model_dump(include=self.stand.model_fields_set)
-        return self.sim.resolved(
+        lock = self.sim.fixture
+        stiffness = 1.0 / self.yields.get(self.joint, 1.0 / lock.stiffness)
+        lock = replace(lock, stiffness=stiffness, damping=lock.damping * stiffness / lock.stiffness)
+        return replace(self.sim, fixture=lock).resolved(
             gear_ratio=self.stand.gear_ratio,
             motor_inertia=stated.get("motor_inertia") or None,
             motor_damping=stated.get("motor_damping"),
         )
+
+    def simulated_neighbours(self) -> dict[str, float]:
+        """Return by the name of each other motor of a simulated hand its turns for one turn of this locked joint."""
+        return {name: turn / self.yields[self.joint] for name, turn in self.yields.items() if name != self.joint}
 
     def named_files(self) -> list[Path]:
         """Return the files that the devices' tables name, such as a recording to replay: no output may replace these

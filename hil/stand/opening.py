@@ -45,7 +45,13 @@ def open_servo(
         from sim_backend.servo import SimServo
 
         clock = MonotonicClock() if realtime else VirtualClock()
-        simulated = SimServo(stand.simulated(), seed=seed, clock=clock, faults=() if watched else (WatchdogBroken(),))
+        simulated = SimServo(
+            stand.simulated(),
+            seed=seed,
+            clock=clock,
+            faults=() if watched else (WatchdogBroken(),),
+            neighbours=stand.simulated_neighbours(),
+        )
         servo, truth = cast("Servo", simulated), simulated.truth()
     else:
         servo = open_backend(name, _table_of(stand, name), quantity)

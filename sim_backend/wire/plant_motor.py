@@ -18,6 +18,7 @@ from sim_backend.integrator import CEILING, CLOCK, DAMPING, STATE, STIFFNESS, TI
 from sim_backend.parameters import SimParameters
 from sim_backend.plant import (
     HOUSING,
+    JOINT,
     MOTOR,
     MOTOR_RATE,
     TORQUE,
@@ -66,7 +67,8 @@ class PlantMotor(Generic[Law]):
 
     note: a function that is called after each step with the time, s, and the torque in the coupling, N m. commanded:
     the torque demanded in the last step, N m; 0 while disabled. observer: a function that is called after each step,
-    and when the motor is enabled or disabled.
+    and when the motor is enabled or disabled. pulled: a function that returns the angle, rad, by which the locks of
+    other joints turn this motor.
     """
 
     def __init__(self, parameters: SimParameters, law: Law, note: Callable[[float, float], None] | None = None) -> None:
@@ -75,6 +77,7 @@ class PlantMotor(Generic[Law]):
         self.enabled = False
         self.commanded = 0.0
         self.observer: Callable[[], None] = lambda: None
+        self.pulled: Callable[[], float] = lambda: 0.0
         self.inertia = plant.inertia
         self._most = math.sqrt(MOST_HEAT / plant.heating)
         self._lag = 1.0 / plant.current_rate
@@ -93,7 +96,12 @@ class PlantMotor(Generic[Law]):
     @property
     def position(self) -> float:
         """The angle as the drive's encoder measures it, rad."""
-        return self._faults.angle(float(self._path[STATE, MOTOR]), self.time)
+        return self._faults.angle(float(self._path[STATE, MOTOR]) + self.pulled(), self.time)
+
+    @property
+    def joint(self) -> float:
+        """The angle of the locked joint, rad."""
+        return float(self._path[STATE, JOINT])
 
     @property
     def velocity(self) -> float:

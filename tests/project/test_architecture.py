@@ -33,7 +33,14 @@ ALLOWED = {
     | {"annotated_types", "mcap_ros2", "anyio", "starlette", "uvicorn"},
     "ga": {"ga", "numpy", "numba", "scipy"},
     "drivers": {"drivers", "annotated_types", "can", "canopen", "dynamixel_sdk", "pydantic", "serial"},
-    "sim_backend": {"sim_backend", "drivers.servo", "drivers.gate", "drivers.clock", "drivers.canbus.multicast"}
+    "sim_backend": {
+        "sim_backend",
+        "drivers.servo",
+        "drivers.gate",
+        "drivers.clock",
+        "drivers.neighbours",
+        "drivers.canbus.multicast",
+    }
     | {"drivers.tables"}
     | {"ga.compiled", "numpy", "numba", "annotated_types", "can", "canopen"},
 }

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 
 from sim_backend.fault_plan import FaultPlan
 from sim_backend.parameters import SimParameters
 from sim_backend.wire.faults import follow
 from sim_backend.wire.packets.bus import PacketBus, PacketServo
 from sim_backend.wire.packets.regulator import Stalling, joint_at_horn
+from sim_backend.wire.plant_motor import PlantMotor
 from sim_backend.wire.torque_log import TorqueLog
 
 Servo = TypeVar("Servo", bound=PacketServo)
@@ -18,12 +20,13 @@ Servo = TypeVar("Servo", bound=PacketServo)
 
 class OnLine(NamedTuple):
     """A servo to be emulated. parameters: its plant, whose torque constant and winding are replaced by the model's;
-    None: the default joint.
+    None: the default joint. turns: by the id of each other servo, its turns for one turn of this servo's locked joint.
     """
 
     model: str
     ident: int
     parameters: SimParameters | None = None
+    turns: Mapping[int, float] = MappingProxyType({})
 
 
 def servos(
@@ -60,9 +63,17 @@ def servos(
         )
         for one in wanted
     ]
+    motors = {one.ident: servo.life.motor for one, servo in zip(wanted, made, strict=True)}
+    for ident, motor in motors.items():
+        motor.pulled = _pull([(motors[one.ident], one.turns[ident]) for one in wanted if ident in one.turns])
     if log is not None:
         log.watch_all(servo.life for servo in made)
     return made
+
+
+def _pull(turns: Sequence[tuple[PlantMotor[Any], float]]) -> Callable[[], float]:
+    """Return the function that returns the angle, rad, to which other motors' locked joints turn a motor."""
+    return lambda: sum((each * other.joint for other, each in turns), 0.0)
 
 
 def follow_all(plan: FaultPlan | None, bus: PacketBus) -> None:
