@@ -58,6 +58,13 @@ class JoinsHand(Protocol):
 class SeesNeighbours(Protocol):
     """A servo that watches how far the other motors of a hand turn while it is driven."""
 
+    def slower(self) -> tuple[float, float]:
+        """Return by how much, s, an exchange takes longer once the servo is armed, since it writes a set-point and
+        reads a neighbour now and then: on average, and with a neighbour. Zero without neighbours.
+
+        To be called before the servo is armed. Raises DriverError.
+        """
+
     def turned(self) -> Mapping[str, float]:
         """Return by how much each motor has turned since this servo was armed, rad at its shaft."""
 

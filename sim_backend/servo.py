@@ -209,6 +209,10 @@ class SimServo:
         """Switch the torque off, then close the link. Never raises."""
         self._gate.close()
 
+    def slower(self) -> tuple[float, float]:
+        """See `drivers.neighbours.SeesNeighbours`: looking at simulated neighbours takes no time."""
+        return 0.0, 0.0
+
     def turned(self) -> Mapping[str, float]:
         """See `drivers.neighbours.SeesNeighbours`."""
         return self._neighbours.turned()

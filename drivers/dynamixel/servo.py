@@ -141,6 +141,10 @@ class DynamixelServo:
         """See `drivers.neighbours.JoinsHand`."""
         self._hand.join(joints)
 
+    def slower(self) -> tuple[float, float]:
+        """See `drivers.neighbours.SeesNeighbours`."""
+        return self._hand.slower(len(self._bus.unanswered(*self._series.goal(0, 0)[:2])))
+
     def turned(self) -> dict[str, float]:
         """See `drivers.neighbours.SeesNeighbours`."""
         return self._hand.turned(POSITION_LSB)

@@ -163,6 +163,11 @@ class FeetechServo:
         """See `drivers.neighbours.JoinsHand`."""
         self._hand.join(joints)
 
+    def slower(self) -> tuple[float, float]:
+        """See `drivers.neighbours.SeesNeighbours`."""
+        goal = self._registers["goal_position"]
+        return self._hand.slower(len(self._bus.unanswered(goal.address, bytes(goal.size))))
+
     def turned(self) -> dict[str, float]:
         """See `drivers.neighbours.SeesNeighbours`."""
         return self._hand.turned(self._model.position_lsb)

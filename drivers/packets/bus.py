@@ -34,15 +34,15 @@ _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 m
 class Bus:
     """Requests to one servo. timeout: s to wait for a reply, in addition to its time on the wire.
 
-    repeats: whether a request whose reply was lost is sent again. alert: the hardware errors in the last reply, 0 if
-    there are none. return_delay: s that the servo waits before it replies. Each request raises NoReply, BadReply,
-    LinkLost, and DriverError if the servo refuses it.
+    clock: of the servo. repeats: whether a request whose reply was lost is sent again. alert: the hardware errors in
+    the last reply, 0 if there are none. return_delay: s that the servo waits before it replies. Each request raises
+    NoReply, BadReply, LinkLost, and DriverError if the servo refuses it.
     """
 
     def __init__(self, port: SerialPort, ident: int, clock: Clock, timeout: float, wire: Wire) -> None:
         self._port = port
         self._id = ident
-        self._clock = clock
+        self.clock = clock
         self._late = Lateness(port.port_name, timeout, SILENT_FOR)
         self._wire = wire
         self._quarantined = True
@@ -51,13 +51,17 @@ class Bus:
         self.alert = 0
         self.return_delay = _LONGEST_DELAY
 
+    def duration(self, size: int) -> float:
+        """Return the time, s, that `size` bytes take on the line."""
+        return 10.0 * size / self._port.baudrate
+
     def ping(self, size: int) -> bytes:
         """Send a ping and return the parameters of its reply, `size` bytes."""
         return self._ask(self._wire.frame(self._id, PING, b""), size, "ping")
 
     def beside(self, ident: int) -> Bus:
         """Return the requests to another servo on the same line, whose return delay is not known."""
-        other = Bus(self._port, ident, self._clock, 0.0, self._wire)
+        other = Bus(self._port, ident, self.clock, 0.0, self._wire)
         other._late, self._quarantined = self._late, True
         return other
 
@@ -74,8 +78,8 @@ class Bus:
             frame = self._wire.frame(ident, PING, b"")
             self._put(frame)
             echo = self._port.keep_echo()
-            line = 10.0 * (len(frame) + self._wire.status_size) / self._port.baudrate
-            self._clock.sleep_until(self._clock.now() + line + _LONGEST_DELAY + _SLACK)
+            line = self.duration(len(frame) + self._wire.status_size)
+            self.clock.sleep_until(self.clock.now() + line + _LONGEST_DELAY + _SLACK)
             received += self._received(0.0)
         received += self._received(self._late.silence)
         packets = Counter(self._wire.pings(received))
@@ -137,12 +141,12 @@ class Bus:
 
     def _received(self, seconds: float) -> bytes:
         """Return the bytes that arrive within `seconds`. Raises LinkLost."""
-        deadline, received = self._clock.now() + seconds, b""
+        deadline, received = self.clock.now() + seconds, b""
         try:
             while True:
                 self._port.expect(deadline, 0)
                 received += self._port.readPort(256)
-                if self._clock.now() >= deadline:
+                if self.clock.now() >= deadline:
                     return received
         except GONE as error:
             raise link_lost(self._port.port_name, error) from None
@@ -182,8 +186,8 @@ class Bus:
         self._quarantined = True  # until a valid reply arrives, whatever interrupts the wait
         self._put(frame)
         whole = self._wire.status_size + size
-        line = 10.0 * (len(frame) + whole) / self._port.baudrate
-        due = self._clock.now() + line + self.return_delay
+        line = self.duration(len(frame) + whole)
+        due = self.clock.now() + line + self.return_delay
         self._port.expect(due + self._late.wait, whole)
         try:
             raw, result = self._wire.receive(self._port)
@@ -197,7 +201,7 @@ class Bus:
         if result != COMM_SUCCESS:
             raise _bad("the reply is damaged or cut short")
         answer = self._checked(self._wire.opened(raw), size, what)
-        self._late.note(self._clock.now() - due)
+        self._late.note(self.clock.now() - due)
         return answer
 
     def _checked(self, answer: Answer | None, size: int, what: str) -> bytes:

@@ -5,7 +5,7 @@ servo.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from drivers.neighbours import Swing, check_still
@@ -52,6 +52,7 @@ class HandBus:
     def join(self, joints: Mapping[str, int]) -> None:
         """Set the servos of the hand: their ids by the names of their joints."""
         self._names = {ident: name for name, ident in joints.items() if ident != self._ident}
+        self._ways = {}
 
     @property
     def neighbours(self) -> tuple[int, ...]:
@@ -66,8 +67,27 @@ class HandBus:
         """
         self._swings = {ident: Swing(self._turn) for ident in (self._ident, *self._names)}
         self._swings[self._ident].begin(raw)
-        self._ways = {ident: self._bus.beside(ident) for ident in self._names}
-        for ident, way in self._ways.items():
+        for ident, data in self._positions():
+            self._swings[ident].begin(self._counts(data))
+            self._alerts[ident] = self._ways[ident].alert
+        self._exchanges = self._lost = 0
+        self.watches = bool(self._names)
+
+    def slower(self, set_point: int) -> tuple[float, float]:
+        """See `drivers.neighbours.SeesNeighbours`. set_point: bytes of the packet of a set-point."""
+        if not self._names:
+            return 0.0, 0.0
+        list(self._positions())  # the first read of each waits until the line is silent
+        begin = self._bus.clock.now()
+        read = [self._bus.clock.now() for _ in self._positions()]
+        each = (read[-1] - begin) / len(read)
+        write = self._bus.duration(set_point)
+        return write + each / _EVERY, write + each
+
+    def _positions(self) -> Iterator[tuple[int, bytes]]:
+        """Yield id and position of every neighbour. Raises LinkLost, and DriverError for one that does not reply."""
+        for ident in self._names:
+            way = self._ways.setdefault(ident, self._bus.beside(ident))
             try:
                 data = retry(lambda way=way: way.read(*self._position))  # type: ignore[misc]  # of this turn of the loop
             except LinkLost:
@@ -77,10 +97,7 @@ class HandBus:
                     f"{self._called(ident)} of this hand does not answer ({error}), so that it could not be switched "
                     "off: nothing was driven; check its power, its cable and its id in the hand file"
                 ) from None
-            self._swings[ident].begin(self._counts(data))
-            self._alerts[ident] = way.alert
-        self._exchanges = self._lost = 0
-        self.watches = bool(self._names)
+            yield ident, data
 
     def look(self, raw: int) -> None:
         """Note the position `raw`, counts, of the driven servo; read one neighbour every tenth time.
@@ -109,7 +126,7 @@ class HandBus:
 
     def turned(self, count: float) -> dict[str, float]:
         """See `drivers.neighbours.SeesNeighbours`. count: rad in one count."""
-        return {self._names[ident]: count * self._swings[ident].range for ident in self._ways}
+        return {self._names[ident]: count * self._swings[ident].range for ident in self._names if ident in self._swings}
 
     def switch_off(self, driven: Callable[[], None]) -> None:
         """Switch off the torque of every servo of the hand with one packet, then wait for each one's confirmation.

@@ -30,7 +30,7 @@ from hil.acquisition.sink import Sink
 from hil.errors import WrongUse
 from hil.recording.channels import Row, row_of
 from hil.stand.file import Stand
-from hil.stand.opening import innermost, limits_below_one_count, require_watchdog
+from hil.stand.opening import innermost, limits_below_one_count, require_watchdog, slower_when_armed
 from hil.stand.transmission import Transmission, Zero
 
 _REST_SAMPLES = 16  # averaged for the zero of the deflection
@@ -201,8 +201,10 @@ class Recorder:
                 break
         else:
             raise NoReply(f"{len(samples)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
-        answer = sorted(took)[len(took) // 4]  # a computer that is busy with other things makes some of them longer
-        if answer > _TOO_LONG / self._rate:
+        usual, longest = slower_when_armed(self._servo)
+        answer = sorted(took)[len(took) // 4] + longest  # a computer that is busy makes some of them longer
+        on_average = sorted(took)[len(took) // 2] + usual if longest else 0.0
+        if max(on_average, answer / _TOO_LONG) > 1.0 / self._rate:
             raise WrongUse(
                 f"--rate {self._rate:g}: this servo takes {answer * 1e3:.3g} ms to answer, so it reaches at "
                 f"most {1.0 / answer:.0f} Hz: lower the rate"

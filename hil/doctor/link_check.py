@@ -10,6 +10,7 @@ from drivers.servo import BadReply, Command, NoReply, Sample, Servo
 from hil.acquisition.interrupt import StopRequest
 from hil.doctor.checks import CheckList, LinkFigures, Verdict
 from hil.stand.file import Stand
+from hil.stand.opening import slower_when_armed
 
 _SECONDS = 1.0
 _MOST = 20_000  # exchanges in that time, however fast they are
@@ -37,7 +38,8 @@ def check_link(checks: CheckList, servo: Servo, rate: float, stop: StopRequest) 
     seconds = max(clock.now() - begin, 1e-9)
     if samples:
         median, p99 = (float(value) for value in np.quantile(trips, (0.5, 0.99)))
-        checks.bus = LinkFigures(len(samples), lost, len(samples) / seconds, median, p99, max(trips))
+        reached = 1.0 / (seconds / len(samples) + slower_when_armed(servo)[1])
+        checks.bus = LinkFigures(len(samples), lost, reached, median, p99, max(trips))
         _check_figures(checks, checks.bus, rate)
     elif stop.count:
         checks.add("bus", Verdict.SKIPPED, "interrupted before the drive answered")

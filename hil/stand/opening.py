@@ -8,7 +8,7 @@ from typing import Any, cast
 from pydantic import TypeAdapter, ValidationError
 
 from drivers.clock import MonotonicClock
-from drivers.neighbours import HasNeighbours, JoinsHand
+from drivers.neighbours import HasNeighbours, JoinsHand, SeesNeighbours
 from drivers.servo import Quantity, Servo, ServoInfo
 from hil.errors import WrongUse
 from hil.guardian.servo import GuardedServo, Watch, guarded
@@ -73,6 +73,14 @@ def innermost(servo: Servo) -> Servo:
     while isinstance(servo, StandServo | GuardedServo):
         servo = servo.inner
     return servo
+
+
+def slower_when_armed(servo: Servo) -> tuple[float, float]:
+    """Return by how much, s, an exchange takes longer once the servo is armed, on average and at most, as far as it is
+    known. Raises DriverError.
+    """
+    inner = innermost(servo)
+    return inner.slower() if isinstance(inner, SeesNeighbours) else (0.0, 0.0)
 
 
 def refused_neighbours(stand: Stand, servo: Servo) -> list[str] | None:

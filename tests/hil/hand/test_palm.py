@@ -1,4 +1,4 @@
-"""A simulated hand whose palm and locks yield: how far its other motors turn, against equilibrium, and the guard for them.
+"""A simulated hand whose palm and locks yield: how far its other motors turn, and the guard for them.
 
 A torque T in a coupling Kc turns its joint's lock by T/Kf, and the palm, in series, by T/Kp.
 """
