@@ -37,6 +37,11 @@ class Repeats:
     def __init__(self) -> None:
         self._on: tuple[type[DriverError], ...] = ()
 
+    @property
+    def are_active(self) -> bool:
+        """Return whether a block of `active` is being executed."""
+        return bool(self._on)
+
     @contextmanager
     def active(self, on: tuple[type[DriverError], ...] = (NoReply, BadReply)) -> Iterator[None]:
         """Context manager: in its block, requests are repeated when they raise an error of the types `on`."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from drivers.packets.wire import Answer, Wire
 
 _LONGEST_DELAY, _SLACK = 508e-6, 1e-3  # s of Return Delay Time at most; s by which an adapter may bunch two requests
+_OVERTAKEN = 0.05  # s of silence after which no lost reply is on its way, before the motor is driven
 _ROLL_CALL = 0.8  # s; servos reply to a broadcast ping one after the other, 3 ms for each possible id
 
 
@@ -45,7 +46,7 @@ class Bus:
         self.clock = clock
         self._late = Lateness(port.port_name, timeout, SILENT_FOR)
         self._wire = wire
-        self._quarantined = True
+        self._quarantined, self._owed = True, False
         self._reads: dict[tuple[int, int], bytes] = {}
         self.repeats = Repeats()
         self.alert = 0
@@ -158,15 +159,17 @@ class Bus:
         return self._reads[key]
 
     def _settle(self) -> None:
-        if not self._quarantined:
+        # a late reply to an earlier read would become a setting, to which the servo's memory is restored at the end
+        late = self._owed and self.repeats.are_active
+        if not self._quarantined and not late:
             return
         try:
-            silent = self._port.drain(self._late.silence)
+            silent = self._port.drain(max(self._late.silence, _OVERTAKEN if late else 0.0))
         except GONE as error:
             raise link_lost(self._port.port_name, error) from None
         if not silent:
             raise BadReply("the line never falls silent: another program or a broken servo keeps sending on it")
-        self._quarantined = False
+        self._quarantined, self._owed = False, self._owed and not late
 
     def _put(self, frame: bytes) -> None:
         try:
@@ -196,7 +199,7 @@ class Bus:
         except GONE as error:
             raise link_lost(self._port.port_name, error) from None
         if result == COMM_RX_TIMEOUT:
-            waited = self._late.wait * 1e3
+            self._owed, waited = True, self._late.wait * 1e3
             raise NoReply(f"servo {self._id} did not answer within {waited:.3g} ms beyond the wire's time")
         if result != COMM_SUCCESS:
             raise _bad("the reply is damaged or cut short")

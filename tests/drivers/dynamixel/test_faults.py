@@ -18,11 +18,11 @@ from drivers.dynamixel.servo import DynamixelServo
 from drivers.servo import BadReply, Command, DeviceFault, DriverError, Limits, LinkLost, NoReply, Quantity
 from sim_backend.fault_plan import FaultPlan, PlannedFault
 from sim_backend.wire.dynamixel.device import DynamixelDevice
-from sim_backend.wire.faults import NoiseBefore, Unplug
+from sim_backend.wire.faults import DelayReplies, NoiseBefore, Unplug
 from sim_backend.wire.packets.bus import PacketBus, Reply
 from sim_backend.wire.uart.pty_line import PtyLine
 
-from ..conftest import sampled
+from ..conftest import SERVO_LIMITS, new_rig, sampled
 
 Rig = Any
 Make = Callable[..., Rig]
@@ -204,3 +204,18 @@ def test_a_pulled_cable_is_a_lost_link_on_a_real_port(tmp_path: Path, limits: Li
             ask_through_gaps(servo, 3)
         servo.close()
         servo.close()
+
+
+def test_a_reply_that_comes_late_is_never_taken_for_a_setting_or_for_an_error() -> None:
+    """Taken for the temperature limit, it would be written to the memory of the servo at the end, and 23 degC above it
+    be too hot.
+    """
+    for nth in range(40):
+        rig = new_rig()
+        memory, servo = bytes(rig.device.registers.memory[:64]), rig.open()
+        rig.faults.inject(DelayReplies(after=nth, seconds=0.03))
+        with contextlib.suppress(NoReply, BadReply):
+            servo.arm(SERVO_LIMITS)
+        servo.close()
+        rig.wait(0.1)
+        assert bytes(rig.device.registers.memory[:64]) == memory, nth
