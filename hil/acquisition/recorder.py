@@ -37,6 +37,7 @@ _REST_SAMPLES = 16  # averaged for the zero of the deflection
 _REST_TRIES = 100
 _RESOLVED = 1e-6  # share of the deflection limit that the angle at rest must resolve
 _TOO_LONG = 1.5  # periods that an answer at rest may take; some drives answer sooner once they are armed
+_SPARE = 1.05  # of the mean time of an answer, with which late ticks catch up although some answers are longer
 _RAMP_DOWN = 0.1  # s; a first request to stop ramps the torque to zero over this long
 _BLOCK = 512  # set-points computed at a time
 _GOOD, _LATE, _SATURATED = Status(0), int(Status.LATE), int(Status.SATURATED)
@@ -201,9 +202,9 @@ class Recorder:
                 break
         else:
             raise NoReply(f"{len(samples)} replies to {_REST_TRIES} requests: check power, cable, id and baud rate")
+        answer = sorted(took)[len(took) // 4]  # a computer that is busy with other things makes some of them longer
         usual, longest = slower_when_armed(self._servo)
-        answer = sorted(took)[len(took) // 4] + longest  # a computer that is busy makes some of them longer
-        on_average = sorted(took)[len(took) // 2] + usual if longest else 0.0
+        on_average, answer = _SPARE * (answer + usual) if longest else 0.0, answer + longest
         if max(on_average, answer / _TOO_LONG) > 1.0 / self._rate:
             raise WrongUse(
                 f"--rate {self._rate:g}: this servo takes {answer * 1e3:.3g} ms to answer, so it reaches at "
@@ -360,7 +361,7 @@ class Recorder:
             for text in outcome.exceeded:
                 self._sink.event(since, "over-limit", text)
             inner = innermost(self._servo)
-            if isinstance(inner, SeesNeighbours) and (turned := inner.turned()):
+            if isinstance(inner, SeesNeighbours) and any((turned := inner.turned()).values()):
                 name = max(turned, key=turned.__getitem__)
                 outcome.neighbours = f"of the motors that are off, {name} turned most: {1e3 * turned[name]:.3g} mrad"
                 self._sink.event(since, "neighbours", outcome.neighbours)
