@@ -96,7 +96,7 @@
     const one = stand();
     at("stand-name").textContent = one.name;
     at("place").textContent = one.simulated ? "A joint with known Kc and Bc: no motor moves." : [one.backend, one.place].filter(Boolean).join(" at ");
-    at("move").disabled = at("commission").disabled = one.simulated;
+    [at("move").disabled, at("commission").disabled, at("row-of").hidden] = [one.simulated, one.simulated, !one.next];
     if (step !== "record") idleLimits();
   }
   function chooseStand(file) {
@@ -163,7 +163,8 @@
     announce(engineering(found.amplitude, torqueMode() ? "N m" : "rad"), engineering(found.duration, "s"), { ...mine, yes: true });
   }
   function move() { announce(engineering(stand().limits.torque / 20, "N m"), "3 s", { kind: "doctor", stand: stand().file, move: true, yes: true }); }
-  function announce(size, time, command) { question(stand().asked.replace("{size}", size).replace("{time}", time), () => begin(command)); }
+  const goesOn = () => at("row").checked && Boolean(stand().next);
+  function announce(size, time, command) { question(stand().asked.replace("{size}", size).replace("{time}", time) + (command.move || !goesOn() ? "" : " Then it goes on with the joints after this one."), () => begin(command)); }
   function question(text, agreed) {
     at("asked").textContent = `${text}\nWhile it moves, STOP and any key stop it.`;
     agree = agreed;
@@ -245,7 +246,7 @@
       at("after").hidden = false;
       at("predicted").textContent = `${output}: ${job.answer.samples} samples, ${job.answer.lost} lost, ${job.answer.late} late (${job.answer.end_reason})`;
       Object.assign(at("to-next"), { hidden: !stand().next, textContent: `Next joint: ${(stand().next || "").split("#").pop()}` });
-      if (step === "record") at("to-identify").focus();
+      if (!job.status && goesOn()) { clicks["to-next"](); begin({ ...wanted.record(), yes: !stand().simulated }); } else if (step === "record") at("to-identify").focus();
     }
     if (job.kind === "stand" && job.status === 0) trying(refresh).then(() => { chooseStand(job.output); showStands(); at("new").open = false; });
     if (job.kind === "design") { at("predicted").textContent = ""; if (job.answer) takeBest(job.answer.profiles.best.profile); }
