@@ -13,31 +13,12 @@ from hil.errors import WrongUse
 
 from ..conftest import Hil
 from .conftest import SIMULATED_HAND
+from .test_doctor import HAND
 
 REFUSED = """
 [[joint]]
 name = "blocked"
 limits.deflection = 1e-3   # reached at once
-"""
-
-
-BUS = """
-[hand]
-backend = "dynamixel"
-repeats = 1
-[dynamixel]
-port = "/dev/ttyUSB0"
-model = "xl330-m288"
-[limits]
-torque = "30 mN*m"
-deflection = 1.0
-velocity = 50.0
-[[joint]]
-name = "a"
-dynamixel.id = 3
-[[joint]]
-name = "b"
-dynamixel.id = 4
 """
 
 
@@ -77,10 +58,11 @@ def test_an_edit_of_what_was_recorded_is_refused_and_an_edit_of_the_routing_is_n
     assert [run.key for run in of_hand(path).runs] == first
     path.write_text(SIMULATED_HAND.replace("stand.gear_ratio = 5.0", "stand.gear_ratio = 5.1"))
     assert [run.key == old for run, old in zip(of_hand(path).runs, first, strict=True)] == [True, False]
-    path.write_text(BUS)
-    one, two = (run.key for run in of_hand(path).runs)
-    path.write_text(BUS.replace("id = 4", "id = 5"))
-    assert [run.key == old for run, old in zip(of_hand(path).runs, (one, two), strict=True)] == [True, False]
+    text = HAND.replace("[hand]", "[hand]\nrepeats = 1", 1)
+    path.write_text(text)
+    first = [run.key for run in of_hand(path).runs]
+    path.write_text(text.replace("id = 3", "id = 5"))
+    assert [run.key == old for run, old in zip(of_hand(path).runs, first, strict=True)] == [True, True, False]
     path.write_text(SIMULATED_HAND.replace("[hand]", '[hand]\noutput = "../elsewhere"'))
     with pytest.raises(WrongUse, match=r"hand\.output = '\.\./elsewhere' is outside"):
         of_hand(path)
