@@ -21,7 +21,7 @@ _NUMBER = r"[-+]?\d+(?:[.,]\d+)?(?:[eE][-+]?\d+)?"
 _SAYS_RATE = r"(?:sampl\w*|acquisition|scan|data|logging)?[\s_.-]*(?:rate|freq(?:uency)?)\b|f_?s\b|\bsps\b|abtastrate"
 _SAYS_STEP = (
     r"(?:sampl\w*|time)[\s_.-]*(?:interval|period|step|time)\b|delta[\s_]?[xt]\b|(?:x[\s_]?)?increment\b|dt\b|ts\b|"
-    r"h[\s_]?resolution\b|t_?step\b|wf_increment\b|abtastintervall"
+    r"h[\s_]?resolution\b|t[\s_]?inc\b|t_?step\b|wf_increment\b|abtastintervall"
 )
 _UNIT = r"k?Hz|[mun]?s(?:ec)?"
 _STATED = re.compile(

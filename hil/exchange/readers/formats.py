@@ -57,10 +57,12 @@ _READ = (
 """What hil reads, besides text and bags."""
 
 _FRAMES = (
-    r"\A(LOGG|date \w+ \w+ \d+| ?\(\d+\.\d+\) +\S+ +[\da-f]+(#| +\[)|"
-    r"[^\n]*\b(dlc|can[ _]?id|arbitration[ _]?id)\b[^\n]*\bdata[^\n]*\n[^\n]*([\da-f]{2}[ ,]){3})"
+    r"\A(LOGG|date \w+ \w+ \d+| ?\([\d.: -]+\) +\S+ +[\da-f]+(#| +\[)|"
+    r"[^\n]*\b(dlc|can[ _]?id|arbitration[ _]?id)\b[^\n]*\bdata[^\n]*\n[^\n]*([\da-f]{2}[ ,]?){3})"
 )
 _PACKED = r"\A(PK\x03\x04|7z\xbc\xaf|Rar!|\x28\xb5\x2f\xfd|BZh|\xfd7zXZ)"
+_ECHO = r"\A(---\n)?\w+:\s*\n +\w+:.*\n[\s\S]*^---$"
+_LINES = r"\A(#[^\n]*\n)*[^\s,=]+(,[^\s,=]+=[^\s,]+)* [^\s,=]+=[-+\d.eE]+i?(,[^\s,=]+=\S+?)* \d{10,19}\s*$"
 _NEVER = "loading it can run any program, so hil never does; save the table in it as CSV or Parquet"
 _CONVERTED = (
     ("a WPILib log", r"\AWPILOG", (".wpilog",), "export it as CSV with AdvantageScope, File > Export Data"),
@@ -72,6 +74,9 @@ _CONVERTED = (
     ("a ROS 1 bag that was not closed", r"(?!)", (".bag.active",), "complete it: rosbag reindex FILE"),
     ("a pointer of Git LFS and not the file itself", r"\Aversion https://git-lfs", (), "fetch the file: git lfs pull"),
     ("a web page", r"\A\s*<(!doctype html|html)", (".html",), "save the table in it as CSV"),
+    ("the output of ros2 topic echo", _ECHO, (), "record the topic, ros2 bag record TOPIC, and import the bag"),
+    ("lines of Teleplot", r"\A\s*>[^\s:]+:[-+\d.]+[:;]", (), "print all numbers of one time in one line: 't:1,tau:2'"),
+    ("InfluxDB's line protocol", _LINES, (), "query it as CSV, pivoted to a column for each field"),
     ("an archive", _PACKED, (".zip", ".tar", ".tgz", ".zst"), "unpack it, and import the file in it"),
 )
 """What hil does not read: kind, pattern of its beginning (as Latin-1), ends of its name, and how to convert it."""
@@ -91,7 +96,7 @@ def kind_of(source: Path) -> str:
             raise WrongUse(f"{source} is {form.name}: pip install 'hil[{form.needs[1]}]', or save it as CSV")
         return form.reader
     for what, pattern, suffixes, how in _CONVERTED:
-        if re.search(pattern, beginning.decode("latin-1"), re.IGNORECASE) or name.endswith(suffixes):
+        if re.search(pattern, beginning.decode("latin-1"), re.IGNORECASE | re.MULTILINE) or name.endswith(suffixes):
             how_to = how.replace("FILE", quoted(source))
             raise WrongUse(f"{source} is {what}, which hil does not read: {how_to}")
     return TEXT

@@ -15,7 +15,8 @@ _SHOWN = 40  # characters of a bad cell that are quoted
 _MISSING = frozenset(
     ["", "-", "--", "?", "na", "n/a", "#n/a", "#na", "null", "none", "<na>", "nil", "1.#qnan", "1.#ind"]
 )
-_NUMBER = r"[-+]?(?:[1-9]\d{{0,2}}(?:\{between}\d{{3}})+|\d*)(?:\{mark}\d*)?(?:[eE][-+]?\d+)?"
+_EXPONENT = r"(?:[eE][-+]?\d+|(?<=[\d.,])[dD][-+]\d+)?"  # Fortran writes 1.0D-03
+_NUMBER = rf"[-+]?(?:[1-9]\d{{{{0,2}}}}(?:\{{between}}\d{{{{3}}}})+|\d*)(?:\{{mark}}\d*)?{_EXPONENT}"
 _NUMBERS = {  # by the decimal mark; the other mark separates thousands
     ".": re.compile(_NUMBER.format(mark=".", between=",")),
     ",": re.compile(_NUMBER.format(mark=",", between=".")),
@@ -24,6 +25,7 @@ _SPACES = re.compile("['\u2019\u00a0\u202f ]")
 _SPACED = re.compile(rf"[-+]?\d{{1,3}}({_SPACES.pattern}\d{{3}})+([.,]\d*)?")
 _TIME_OF_DAY = re.compile(r"(?<![\d:])(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?\s*([AaPp])?\.?[Mm]?\.?(?![\d:])")
 _MINUTES = re.compile(r"(\d{1,3}):(\d{2})[.,](\d+)")  # what Excel shows of a time of day
+LISTS = re.compile(r"[\[(]\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[\s,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*[\])]")
 _DAY, _HOUR = 86400.0, 3600.0
 
 
@@ -74,7 +76,7 @@ def _values(text: str) -> dict[str, float]:
         between = "," if mark == "." else "."
         with suppress(ValueError):
             if pattern.fullmatch(text):
-                found[mark] = float(text.replace(between, "").replace(mark, "."))
+                found[mark] = float(re.sub("[dD]", "e", text.replace(between, "").replace(mark, ".")))
     with suppress(ValueError):  # NaN, inf; but only Python separates thousands with "_"
         return found or ({"": float(text)} if "_" not in text else {})
     return found
@@ -144,6 +146,8 @@ class Cells:
         remedy = "empty the cell where nothing was read"
         if ":" in text:
             remedy = "write times as 2024-05-01 12:00:00.002 or 12:00:00.002, or the time in seconds"
+        elif LISTS.match(text):
+            remedy = "it is a list whose order no heading names: write each number of it into a column, as q0 [rad]"
         elif re.match(r"[-+]?[\d.,]+\s*[^\W\d]", text):
             remedy = "write the unit in the heading only, and numbers in the cells"
         return f"row {line}, column {self._names[at]}: {shown!r} is not a number: {remedy}"

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import islice
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from hil.errors import WrongUse
 from hil.exchange import headings
-from hil.exchange.text.cells import clock, is_missing, is_number
+from hil.exchange.text.cells import LISTS, clock, is_missing, is_number
 from hil.exchange.text.monitor import Monitor, monitor
 
 if TYPE_CHECKING:
@@ -29,12 +28,12 @@ _DELIMITERS = (";", "\t", "|", ",", " ")
 _EXAMPLE = ("time [s]", "torque [N*m]", "dtheta [rad]", "a", "b", "c", "d", "e")
 COMMENT = re.compile(r"^\s*(?:#+|%+|//+|!+)\s*")
 _UNITS = re.compile(
-    r"[\W_]*(?:\w_|[hvxy])?(?:units?|einheit(?:en)?|unités?|unidad(?:es)?)(?:_label)?\b\"? *:?", re.IGNORECASE
+    r"[\W_]*(?:\w+_|[hvxy])?(?:units?|einheit(?:en)?|unités?|unidad(?:es)?)(?:_label)?\b\"? *:?", re.IGNORECASE
 )
-_OF_TIME = re.compile(r"[\W_]*[hx]_?unit", re.IGNORECASE)  # of the horizontal axis of an oscilloscope
+_LABEL = re.compile(r"signals?|channels?|(?:trace|channel|signal)?[ _]?names?", re.IGNORECASE)  # of the headings
+_OF_TIME = re.compile(r"[\W_]*[hx][a-z]*[_ ]?unit", re.IGNORECASE)  # of the horizontal axis of an oscilloscope
 _NO_UNIT = frozenset({"", "-", "--", "1", "n/a"})
 _OTHER_UNITS = frozenset("% counts count cnt ticks lsb raw bits N kN mN lbf kgf Pa kPa MPa GPa bar W J".split())  # noqa: SIM905
-_LISTS = re.compile(r"[\[(]\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?(?:[\s,;]+[-+]?[\d.]+(?:[eE][-+]?\d+)?)+\s*[\])]")
 _DATE = re.compile(r"\d{4}([-/.])\d\d?\1\d\d?|\d\d?([-/.])\d\d?\2\d{4}")
 _OF_DATE = re.compile("da[ty]|time|stamp|clock|zeit|tag|fecha|[^ -~]", re.IGNORECASE)
 _USUAL = 0.8  # share of the rows that have a number in a column
@@ -124,7 +123,7 @@ def _refuse_shifted(source: Path, names: Sequence[str], row: Sequence[str]) -> N
 
 
 def _refuse_lists(source: Path, lines: Sequence[str]) -> None:
-    found = [match[0] for match in map(_LISTS.search, lines) if match]
+    found = [match[0] for match in map(LISTS.search, lines) if match]
     if len(found) > _USUAL * len(lines):
         raise WrongUse(
             f"{source} holds lists in its cells, such as {found[0]}, whose order no heading names: write each number "
@@ -232,8 +231,8 @@ def _headings(
 ) -> tuple[int, list[str], int]:
     """Return the index of the first row, the headings of its cells, and the index of their line. shape: from `_rows`.
 
-    The line of headings has all wanted names. Without such a line, it is the nearest line above the rows that has a
-    name for each cell. Where a log began in the middle of a row, the headings follow the first rows.
+    The line of headings has all wanted names. Without such a line, it is the nearest line above the rows, and above the
+    units, that has a name for each cell. Where a log began in the middle of a row, the headings follow the first rows.
     """
     delimiter, fields, rows = shape
     numbers = set(rows)
@@ -246,8 +245,20 @@ def _headings(
             has = bool(wanted) and (fits or mark.strip(" ") != "") and _has(names, wanted)
             if has or fits or (is_above and len(names) > 1):
                 is_units = any(_units(names, len(names)))
-                choices.append(((not has, not fits, is_units, any(map(is_number, names))), at, names, fits))
-    _, at, names, fits = min(choices, key=itemgetter(0), default=(None, len(lines), [], False))
+                choices.append((has, fits, is_units, at, names))
+    beneath = [at for _, fits, is_units, at, names in choices if fits and is_units and headings.is_unit(names[0])]
+    units = max((at for at in beneath if at < rows[0]), default=len(lines))
+    has, fits, _, at, names = min(
+        choices,
+        key=lambda one: (not one[0], not one[1], one[2], one[3] > units, any(map(is_number, one[4]))),
+        default=(False, False, False, len(lines), []),
+    )
+    if delimiter == " " and not fits and len(names) > fields:
+        raise WrongUse(
+            f"{source}: {len(names)} words stand above rows of {fields} cells, so spaces within headings shift the "
+            f"columns: write _ for them, or separate the columns by tabs or commas"
+        )
+    names = _without_label(lines[: rows[0]], delimiter, names, fields)
     first = next((row for row in rows if row > at), None)
     if first is None:
         raise WrongUse(
@@ -255,6 +266,13 @@ def _headings(
             f"names and units of its {fields} columns, such as {_example(fields, delimiter)!r}"
         )
     return first, names[:fields] if fits else names, at
+
+
+def _without_label(lines: Sequence[str], delimiter: str, names: list[str], fields: int) -> list[str]:
+    """Return the names without the label in front of them that the line of units has too."""
+    beside = [len(split_line(line.rstrip(), delimiter)) for line in lines if _UNITS.match(line)]
+    is_label = len(names) == fields + 1 and len(names) in beside and _LABEL.fullmatch(names[0])
+    return names[1:] if is_label else names
 
 
 def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[str], bool, str]]:
@@ -275,7 +293,9 @@ def _splits(line: str, delimiter: str, fields: int = 0) -> Iterator[tuple[list[s
 
 
 def _are_names(cells: Sequence[str]) -> bool:
-    """Return whether no cell is a number, except for those of channels, such as 1 and 2, beside a name."""
+    """Return whether no cell is a number, except for those of channels, such as 1 and 2, beside a name; nor a time."""
+    if any(clock(cell) is not None or _DATE.fullmatch(cell) for cell in cells):
+        return False
     numbers = [cell for cell in cells if is_number(cell)]
     are_channels = len(set(numbers)) == len(numbers) and all(re.fullmatch(r"\d{1,2}", cell) for cell in numbers)
     return not numbers or (are_channels and any(cell and not is_number(cell) for cell in cells))

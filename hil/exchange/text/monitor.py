@@ -10,8 +10,11 @@ from typing import NamedTuple
 from hil.exchange.headings import is_unit
 
 _TIME = r"(?:\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d{2}:\d{2}(?:[.,:]\d+)?"
+_LEVEL = r"\[?\s*(?:TRACE|DEBUG|INFO|NOTICE|WARN(?:ING)?|ERROR|FATAL)\s*\]?"
 _STAMP = re.compile(
-    rf"^\s*(?:[\[(<]\s*(?P<inside>{_TIME}|\d+\.\d+)\s*[\])>]\s*(?:->|[:|>-](?!\d))?|(?P<before>{_TIME})\s*(?:->|>|\|))\s*"
+    rf"^\s*(?:{_LEVEL}\s*\[\s*(?P<leveled>\d+\.\d+)\s*\](?:\s*\[[\w./-]+\])?\s*:|"
+    rf"(?P<logged>{_TIME})(?:\s*[-:]?\s*[\w./-]+)??\s*[-:]?\s*{_LEVEL}(?:\s*[-:]|\s*[\w./-]+\s*:(?!\s*[-+.\d]))?|"
+    rf"[\[(<]\s*(?P<inside>{_TIME}|\d+\.\d+)\s*[\])>]\s*(?:->|[:|>-](?!\d))?|(?P<before>{_TIME})\s*(?:->|>|\|))\s*"
 )
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b"
 _LABELLED = re.compile(
@@ -62,7 +65,7 @@ def _split(line: str) -> tuple[str, str]:
     match = _STAMP.match(line)
     if match is None:
         return "", line
-    return (match["inside"] or match["before"]).replace(",", "."), line[match.end() :]
+    return next(filter(None, match.groups())).replace(",", "."), line[match.end() :]
 
 
 def _values(line: str) -> dict[str, tuple[str, str]]:

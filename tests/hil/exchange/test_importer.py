@@ -15,6 +15,7 @@ import pytest
 
 from hil.api.recordings import load
 from hil.errors import WrongUse
+from hil.exchange.columns import open_table
 from hil.exchange.importer import Column, import_table
 from hil.exchange.row_filter import RowFilter
 from hil.identification.same_stand import other_joints_diagnostics
@@ -447,6 +448,12 @@ def test_a_column_that_needs_no_code_is_imported(tmp_path: Path, steps: Array) -
         (HEAD + "".join(LINES[:9]) + "angle [rad],time [s],torque [N*m]\n" + LINES[0], "headings stand there again"),
         (HEAD + "".join(LINES).replace(",", " Nm,"), "cells that are numbers: write units in the headings only"),
         (HEAD + "".join(f"{at},{line}" for at, line in enumerate(LINES)), "4 fields, but the header names 3"),
+        (HEAD + '0,"(0.5, 0.1)",0.2\n1,"(0.6, 0.1)",0.3\n', "it is a list whose order no heading names"),
+        (" (2024-05-01 10:00:00.004)  can0  201   [2]  0A FF\n", "is a log of CAN frames"),
+        ("timestamp,arbitration_id,dlc,data\n0.5,0x201,2,0aff12\n", "is a log of CAN frames"),
+        ("header:\n  stamp:\n    sec: 1\neffort:\n- 0.5\n---\n", "is the output of ros2 topic echo"),
+        (">tau:1714557600000:0.5§Nm|g\n", "is lines of Teleplot"),
+        ("arm,name=f tau=0.5,q=0.1 1714557600000000000\n", "is InfluxDB's line protocol"),
     ],
 )
 def test_a_log_that_cannot_be_read_is_refused_with_its_own_cause(tmp_path: Path, text: str, said: str) -> None:
@@ -474,6 +481,7 @@ def test_thousands_are_read_where_other_numbers_make_them_certain(
 
 def test_headings_in_another_encoding_are_found_by_the_names_that_are_asked_for(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes("\u6642\u523b [s],\u89d2\u5ea6 [deg],TAU [N*m]\n0,1,2\n1,3,4\n".encode("cp932"))
+    assert open_table(tmp_path / "a.csv").titles[1] == "\u89d2\u5ea6 [deg]"  # a word that headings have
     columns = {"time": Column("\u6642\u523b"), "dtheta": Column("\u89d2\u5ea6"), "torque": Column("TAU")}
     assert import_table(tmp_path / "a.csv", tmp_path / "a.h5", columns, []).units["dtheta"] == "deg"
 

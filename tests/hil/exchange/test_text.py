@@ -48,12 +48,22 @@ BESIDE = "".join(
             ["TraceName", "T [s]", "CH1 [V]", "CH2 [V]"],
             "T",
         ),
+        ("Zeit,A,B\ns,Nm,Grad\n9 Hz,8 Hz,7 Hz\nSTEP=1,N=1,N=2\n" + PLAIN, ["Zeit [s]", "A [Nm]", "B [Grad]"], "Zeit"),
+        (
+            '"HORZ_UNITS", "S"\n"VERT_UNITS", "S", "V", "V"\n"SIGNAL", "TIME", "CH1", "CH2"\n' + PLAIN,
+            ["TIME [S]", "CH1 [V]", "CH2 [V]"],
+            "TIME",
+        ),
+        ("t,a,b\n" + written("{0:.6e},{1:.6e},{2:.6e}").replace("e", "D"), ["t", "a", "b"], "t"),
         ("log of 3 runs\nt [s],a,b\n" + PLAIN, ["t [s]", "a", "b"], "t"),
         (written("[{s}] {1:.4f}, {2:.4f}"), None, None),
         ("[12:00:00.000] a,b\n" + written("[{s}] {1:.6f},{2:.6f}"), ["received [s]", "a", "b"], "received"),
         ("a b\n" + written("({0:.6f}) {1:.6f} {2:.6f}"), ["received", "a", "b"], "received"),
         (written("t: {0:.6f}, Cell torque: {1:.6f} Nm, q={2:.6f}"), ["t", "Cell torque [Nm]", "q"], "t"),
         (written("{s} -> tau={1:.6f}\tq={2:.6f}\tmode=2"), ["received [s]", "tau", "q", "mode"], "received"),
+        (written("[INFO] [{0:.6f}] [node]: tau: {1:.6f} q: {2:.6f}"), ["received", "tau", "q"], "received"),
+        (written("{s} INFO arm: tau={1:.6f} q={2:.6f}"), ["received [s]", "tau", "q"], "received"),
+        (written("{s} - arm - INFO - tau={1:.6f} q={2:.6f}"), ["received [s]", "tau", "q"], "received"),
         (written("{{'t': {0:.6f}, 'tau': {1:.6f}, 'q': {2:.6f}}}"), ["t", "tau", "q"], "t"),
         (written("{0:.6f}: tau {1:.6f}"), None, None),
         ("start\n" + written("{0:.6f}; tau: {1:.6f}; q: {2:.6f}"), ["number", "tau", "q"], "number"),
@@ -92,6 +102,9 @@ def test_spaces_within_headings_shift_no_column_beside_a_date(tmp_path: Path) ->
     )
     (tmp_path / "a.txt").write_text("load cell time q b\n" + body)
     with pytest.raises(WrongUse, match="date 2024-05-01 stands under the heading 'cell'"):
+        open_table(tmp_path / "a.txt")
+    (tmp_path / "a.txt").write_text("t load cell q\n" + PLAIN.replace(",", " "))
+    with pytest.raises(WrongUse, match="4 words stand above rows of 3 cells"):
         open_table(tmp_path / "a.txt")
 
 

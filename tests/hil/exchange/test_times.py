@@ -144,6 +144,7 @@ def test_rows_without_a_time_are_counted_at_a_rate(tmp_path: Path) -> None:
         ("fs = 100\n", "100"),
         ("dt (ms): 4\n", "250"),
         ("X,CH1,Start,Increment\nSequence,Volt,-1.0,2e-3\n", "500"),
+        ("CH1(V),CH2(V),t0 = -6.0e+00, tInc = 4.0e-03\n", "250"),
         ("Rate this test: 5 of 5\n", None),
     ],
 )
