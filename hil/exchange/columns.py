@@ -67,6 +67,10 @@ class Table:
     labels: Callable[[], Mapping[str, Collection[str]]] = dict
     stamps: Collection[str] = ()
 
+    def topics(self) -> str:
+        """Return the topics of the bag that holds the table, in words for a message; "" for another file."""
+        return bags.topics(self.source) if bags.is_bag(self.source) else ""
+
     def has(self, name: str) -> bool:
         """Return whether a column has this name, with or without a unit."""
         return name in self.titles or any(name in headings.names(title) for title in self.titles[:_MOST])
@@ -138,13 +142,14 @@ def open_table(
         loader = partial(_read, (source, titles), read, stamps)
         return Table(source, titles, loader, labels=partial(_labels, titles, read), stamps=stamps)
     form, lost = _bounded_if_packed(source, partial(rows.form, source, asked, topic)), list[str]()
+    labels = partial(_bounded_if_packed, source, partial(rows.labels, source, form, asked, topic))
 
     def read_text(wanted: Sequence[int], filters: Filters) -> tuple[Array, Rows]:
         found = _bounded_if_packed(source, partial(rows.read, source, form, asked, wanted, filters, sheet=topic))
         lost[:] = found.lost
         return found.numbers, found.places
 
-    return Table(source, form.names, read_text, lost, form.top, lambda: form.labels)
+    return Table(source, form.names, read_text, lost, form.top, labels)
 
 
 def has_topics(source: Path) -> bool:

@@ -354,7 +354,8 @@ def _with_joint_state(table: Table, columns: Mapping[str, Column]) -> Mapping[st
     added = {} if "time" in columns else {"time": Column("time")}
     if not {"torque", "motor_torque"} & set(columns):
         if not table.has("effort"):
-            raise WrongUse(f"{table.source}: the joint state has no effort; name the torque with --torque")
+            other = f", TOPIC:PATH for one of another topic; {found}" if (found := table.topics()) else ""
+            raise WrongUse(f"{table.source}: the joint state has no effort; name the torque with --torque{other}")
         added["torque"] = Column("effort")
     if not {"dtheta", "motor_position"} & set(columns):
         added["dtheta"] = Column("position")

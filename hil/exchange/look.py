@@ -24,6 +24,12 @@ from hil.printable import quoted
 Array = NDArray[np.float64]
 
 _SHOWN = 24  # columns in the table
+_SET_POINT = re.compile(
+    r"(?<![^\W_])(?:input|target|set(?:[ _-]?point)?|cmd|command(?:ed)?|desired|ref|reference|goal|demand|soll)"
+    r"(?![^\W_])",
+    re.IGNORECASE,
+)
+_TIMES = re.compile(r"(?<![^\W_])(?:time|timestamp|stamp|elapsed|uptime|received|zeit)(?![^\W_])", re.IGNORECASE)
 _WORDS = {
     "torque": r"torque|tau|effort|moment|drehmoment|couple|load ?cell",
     "dtheta": r"angle|theta|dtheta|position|pos|deflection|rotation|phi|winkel|q|encoder",
@@ -41,9 +47,9 @@ def look(
     """
     table = open_table(source, topic=chosen.get("topic"), joint=chosen.get("joint"), asked=_asked(columns))
     numbers = _numbers(table, [title for title in table.titles[:_SHOWN] if title])
-    known = {title: values for title, values in numbers.items() if values is not None}
-    may_be = {title: role for title in known if (role := _role(title))}
-    read = {role: Column(_short(table, title)) for title, role in reversed(may_be.items())}
+    known = {title: values for title, values in numbers.items() if isinstance(values, np.ndarray)}
+    may_be = {title: role for title, values in known.items() if (role := _role(title, values))}
+    read = {role: Column(_short(table, title)) for title, role in reversed(may_be.items()) if role in DIMENSION}
     for pair in PAIRS:
         if any(one in (columns or {}) for one in pair):
             read.pop(pair[0], None)
@@ -59,6 +65,8 @@ def look(
     lines = [f"{source}: {len(table.titles)} columns", *_aligned(rows)]
     if more := len(table.titles) - len(numbers):
         lines.append(f"and {more} more columns")
+    unread = [one for title, one in numbers.items() if isinstance(one, WrongUse) and _named(title)]
+    lines += [f"looks wrong: {one}" for one in unread if not refused]
     lines += _rows_of(source, read, rate, chosen, refused=refused)
     return [*lines, "to import it:", "  " + _command(source, read, rate, table, chosen)]
 
@@ -67,15 +75,18 @@ def _asked(columns: Mapping[str, Column] | None) -> set[str]:
     return {one.name for one in (columns or {}).values()}
 
 
-def _numbers(table: Table, titles: Sequence[str]) -> dict[str, Array | None]:
-    """Return the numbers in each column, (n,); None for a column without numbers, or whose heading repeats."""
+def _numbers(table: Table, titles: Sequence[str]) -> dict[str, Array | WrongUse | None]:
+    """Return the numbers in each column, (n,); the error of a column without them; None if its heading repeats."""
     once = [title for title in titles if table.titles.count(title) == 1]
+    places = [table.titles.index(title) for title in once]
     with suppress(WrongUse):
-        return dict.fromkeys(titles) | dict(zip(once, table.read(once, [])[0], strict=True))
-    found = dict[str, Array | None].fromkeys(titles)
-    for title in once:
-        with suppress(WrongUse):
-            found[title] = table.read([title], [])[0][0]
+        return dict.fromkeys(titles) | dict(zip(once, table.reader(places, [])[0], strict=True))
+    found = dict[str, Array | WrongUse | None].fromkeys(titles)
+    for title, place in zip(once, places, strict=True):
+        try:
+            found[title] = table.reader([place], [])[0][0]
+        except WrongUse as error:
+            found[title] = error
     return found
 
 
@@ -85,34 +96,43 @@ def _has(table: Table, column: Column) -> bool:
     return ":" in column.name
 
 
-def _role(title: str) -> str:
-    """Return the channel that a column may be, "" if its heading does not say."""
-    if is_time(title):
+def _role(title: str, values: Array) -> str:
+    """Return the channel that a column (n,) may be, "" if its heading does not say, or its values do not change."""
+    if not (np.nanmax(values, initial=-np.inf) > np.nanmin(values, initial=np.inf)):
+        return ""
+    if is_time(title) or (_TIMES.search(title) and (np.diff(values) > 0.0).all()):
         return "time"
-    for channel, words in _WORDS.items():
-        other = False
-        for dimension in ("torque", "angle", "rate", "time"):
-            with suppress(WrongUse):
-                if unit_of(title, dimension) is not None:
-                    if dimension == DIMENSION[channel]:
-                        return channel
-                    other = True
-        if not other and re.search(rf"(?<![^\W_])(?:{words})(?![^\W_])", title, re.IGNORECASE):
-            return channel
-    return ""
+    stated = [one for one in ("torque", "angle", "rate", "time") if _states(title, one)]
+    found = [one for one in _WORDS if DIMENSION[one] in stated] or ([] if stated else _named(title))
+    return "set-point" if found and _SET_POINT.search(title) else next(iter(found), "")
+
+
+def _named(title: str) -> list[str]:
+    """Return the channels that the words of a heading name."""
+    return [
+        channel
+        for channel, words in _WORDS.items()
+        if re.search(rf"(?<![^\W_])(?:{words})\d*(?![^\W_])", title, re.IGNORECASE)
+    ]
+
+
+def _states(title: str, dimension: str) -> bool:
+    with suppress(WrongUse):
+        return unit_of(title, dimension) is not None
+    return False
 
 
 def _short(table: Table, title: str) -> str:
     return next((one for one in names(title) if sum(one in names(other) for other in table.titles) == 1), title)
 
 
-def _row(title: str, values: Array | None, may_be: str, unit: str) -> tuple[str, ...]:
+def _row(title: str, values: Array | WrongUse | None, may_be: str, unit: str) -> tuple[str, ...]:
     unit = unit or bracketed_text(title) or ""
     for dimension in ("time", "torque", "angle", "rate") if not unit else ():
         with suppress(WrongUse):
             unit = unit or unit_of(title, dimension) or ""
-    good = np.empty(0) if values is None else values[np.isfinite(values)]
-    if values is None or not good.size:
+    good = values[np.isfinite(values)] if isinstance(values, np.ndarray) else np.empty(0)
+    if not isinstance(values, np.ndarray) or not good.size:
         return title, unit, may_be, "no numbers", "", ""
     missing = len(values) - good.size
     return title, unit or "not stated", may_be, f"{good.min():.9g}", f"{good.max():.9g}", str(missing or "")

@@ -118,7 +118,7 @@ def is_time(title: str) -> bool:
     with suppress(WrongUse):
         if unit_of(title, "time"):
             return True
-    return any(_TIME.fullmatch(_group(one)[1]) for one in (title, *names(title)))
+    return any(_TIME.fullmatch(_group(one)[1].strip("_")) for one in (title, *names(title)))
 
 
 def _group(title: str) -> tuple[str, str]:

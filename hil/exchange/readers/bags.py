@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from types import MappingProxyType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from hil.exchange.headings import heading, listed
 from hil.recording.channels import CHANNELS
 from hil.recording.input import bounded, open_input
 
+Answer = TypeVar("Answer")
 Array = NDArray[np.float64]
 
 SUFFIXES = frozenset({".mcap", ".db3", ".bag"})
@@ -61,22 +62,34 @@ def columns(
     have one joint. several: whether "time [s]" starts at the first message of the bag, as for its other topics. Raises
     WrongUse, with the list of topics or joints in the bag.
     """
+    lost = list[str]()
+    return _opened(
+        source, lost, lambda reader: _read(source, reader, topic, joint, reader.start_time if several else None)
+    ), lost
+
+
+def topics(source: Path) -> str:
+    """Return the topics of a bag with their types, in words for a message. Raises WrongUse."""
+    return _opened(source, [], lambda reader: _has({one.topic: one.msgtype for one in reader.connections}))
+
+
+def _opened(source: Path, lost: list[str], work: Callable[[Any], Answer]) -> Answer:
+    """Return the result of `work` with the reader of a bag. lost: gets sentences about what is lost of it."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise WrongUse(f"{source}: a ROS 2 bag needs rosbags: pip install 'hil[ros]', or use CSV") from None
 
-    def _columns() -> tuple[dict[str, Array], list[str]]:
+    def answer() -> Answer:
         _check_files(source)
-        lost = list[str]()
         try:
             # the types are for bags that do not hold the definitions of their messages
             with (
                 _whole(source, lost) as bag,
                 AnyReader([bag], default_typestore=get_typestore(Stores.LATEST)) as reader,
             ):
-                return _read(source, reader, topic, joint, reader.start_time if several else None), lost
+                return work(reader)
         except AnyReaderError as error:
             if "Profile" not in str(error):
                 raise
@@ -85,7 +98,7 @@ def columns(
                 "does not read: save the topic as CSV, for example with PlotJuggler"
             ) from None
 
-    return bounded(source, _columns)
+    return bounded(source, answer)
 
 
 @contextmanager

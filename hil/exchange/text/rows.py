@@ -11,7 +11,7 @@ from array import array
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from io import BufferedReader, TextIOWrapper
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+_TEXTS = 64  # at most in a column that names the rows
 _LARGEST = 1 << 36  # bytes of a file, which is read row by row
 _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
 _BLOCK = 1 << 22  # characters that are parsed at a time
@@ -39,6 +40,7 @@ _LOST = 0.01  # share of the rows that may be damaged: more mean that the table 
 _READING = re.compile(r"[-+.]?\d")  # the begin of a number, whole or not
 _SNIFFED = 1 << 12  # bytes that show the encoding
 _ENCODINGS = ("utf-8", "cp932", "gb18030", "cp949", "big5", "cp1251", "cp1250", "cp1253", "cp1254")
+_KNOWN = "时间 扭矩 转矩 力矩 角度 時間 時刻 トルク 扭力 시간 토크 각도 время момент угол".split()  # noqa: SIM905 - in headings
 _MOSTLY = 0.4  # share of every second byte that is 0 in UTF-16
 _CONTROL = 0.1  # share of control characters from which a file is no text
 _CONTROLS = bytes(set(range(32)) - set(b"\t\n\r\f\x1b"))
@@ -60,6 +62,19 @@ def form(source: Path, wanted: Collection[str] = (), sheet: str | None = None) -
     """
     with _open(source, wanted, sheet, _Damage()) as lines:
         return layout(source, lines, wanted)
+
+
+def labels(source: Path, form: Layout, asked: Collection[str], sheet: str | None) -> dict[str, set[str]]:
+    """Return the texts in the columns that hold a few texts again and again, of all rows."""
+    places = {name: form.names.index(name) for name in form.labels}
+    found: dict[str, set[str]] = {name: {*texts} for name, texts in form.labels.items()}
+    with _open(source, asked, sheet, _Damage()) as lines:
+        _skip(lines, form.above)
+        for row in _rows(source, form.reader(lines), form.above) if places else ():
+            for name, at in places.items():
+                if at < len(row) and len(found[name]) < _TEXTS:
+                    found[name].add(row[at].strip())
+    return found
 
 
 def read(
@@ -271,10 +286,16 @@ def _bytes(source: Path) -> Iterator[gzip.GzipFile | BufferedReader]:
             yield raw
 
 
+def _holds(start: bytes, word: str, encoding: str) -> bool:
+    with suppress(UnicodeEncodeError):
+        return word.encode(encoding) in start
+    return False
+
+
 def _encoding(source: Path, wanted: Collection[str]) -> str:
     """Return the encoding of a file: UTF-16, which spreadsheets call Unicode text; one in which the file contains the
-    wanted names; UTF-8 with or without a byte-order mark; else that of Windows. Raises WrongUse for a file that is no
-    text.
+    wanted names; UTF-8 with or without a byte-order mark; one in which it has a word of headings; else that of Windows.
+    Raises WrongUse for a file that is no text.
     """
     start = b""
     with _bytes(source) as raw, suppress(EOFError):  # a packed file that is cut off has no beginning
@@ -294,5 +315,5 @@ def _encoding(source: Path, wanted: Collection[str]) -> str:
     try:
         codecs.getincrementaldecoder("utf-8")().decode(start)
     except UnicodeDecodeError:
-        return "cp1252"
+        return next((one for one, word in product(_ENCODINGS[1:], _KNOWN) if _holds(start, word, one)), "cp1252")
     return "utf-8-sig"

@@ -60,16 +60,17 @@ def test_the_import_says_what_it_understood(hil: Hil, tmp_path: Path) -> None:
 def test_a_look_shows_what_is_understood_and_the_command_that_imports_it(
     hil: Hil, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
-    rows = "".join(f"{i / 100},{np.sin(i)},{np.cos(i)},run\n" for i in reversed(range(100)))
-    (tmp_path / "a.csv").write_text("t [s],cell [mN*m],joint angle,mode\n" + rows)
+    rows = "".join(f"{i / 100},0.5,{i % 7},{np.sin(i)},{np.cos(i)},run\n" for i in reversed(range(100)))
+    (tmp_path / "a.csv").write_text("_time [s],_start [s],torque_cmd [mN*m],cell [mN*m],joint angle,mode\n" + rows)
     status, out, err = hil("import", "a.csv", *words)
     assert (status, err) == (0, "")
     assert re.search(r"\n +cell \[mN\*m\] +mN\*m +torque +-0.99\d* +0.99\d*", out)
     assert re.search(r"\n +joint angle +not stated +dtheta +-0.99\d* +1\n", out)
     assert re.search(r"\n +mode +no numbers\n", out)
+    assert re.search(r"\n +_start \[s\] +s +0.5 .*\n +torque_cmd \[mN\*m\] +mN\*m +set-point +0 ", out)
     assert "does not say the unit of 'joint angle'" in out
     command = out.splitlines()[-1].split("hil ")[1].replace("UNIT", "rad")
-    assert re.match("import a.csv --time t --torque '?cell", command)
+    assert re.match("import a.csv --time _time --torque '?cell", command)
     status, out, err = hil(*shlex.split(command))
     assert status == 0, err
     assert "newest row is the first" in out + err

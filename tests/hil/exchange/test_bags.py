@@ -112,7 +112,7 @@ def test_the_only_joint_of_the_only_joint_states_need_not_be_named(tmp_path: Pat
 
 def test_a_joint_state_without_effort_is_refused(tmp_path: Path) -> None:
     nothing = np.full(200, np.nan)
-    with pytest.raises(WrongUse, match="the joint state has no effort; name the torque with --torque"):
+    with pytest.raises(WrongUse, match=r"name the torque with --torque, TOPIC:PATH for .* it has .*/wrench \("):
         imported(tmp_path, bag(tmp_path / "bag", [("finger", STATE[1], STATE[2], nothing)]))
 
 

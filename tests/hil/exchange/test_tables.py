@@ -42,6 +42,11 @@ def long_csv(path: Path) -> None:
     path.write_text("t [s],signal,value\n" + "".join(f"{t:.6f},{name},{x:.9f}\n" for t, name, x in long_rows()))
 
 
+def in_blocks(path: Path) -> None:
+    rows = sorted(long_rows(), key=lambda row: row[1], reverse=True)
+    path.write_text("t [s],signal,value\n" + "".join(f"{t:.6f},{name},{x:.9f}\n" for t, name, x in rows))
+
+
 def long_lines(path: Path) -> None:
     path.write_text("".join(json.dumps({"t": t, "signal": name, "value": x}) + "\n" for t, name, x in long_rows()))
 
@@ -78,6 +83,7 @@ def read(path: Path, time: str, torque: str, dtheta: str, join: str | None = Non
         ("a.h5", groups, ("cell/stamp", "cell/tau", "drive/encoder/q", "drive/encoder/stamp")),
         ("a.npz", arrays, ("t_cell", "tau", "q", "t_drive")),
         ("a.csv", long_csv, ("t", "tau:value", "q:value")),
+        ("a.csv", in_blocks, ("t", "tau:value", "q:value")),
         ("a.jsonl", long_lines, ("t", "tau:value", "q:value")),
         ("a.csv", beside, ("t1", "tau", "q", "t2")),
         ("a.csv", beside, ("t1", "tau", "q")),
