@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 
 from hil.errors import WrongUse
@@ -21,6 +22,8 @@ _NUMBERS = {  # by the decimal mark; the other mark separates thousands
     ".": re.compile(_NUMBER.format(mark=".", between=",")),
     ",": re.compile(_NUMBER.format(mark=",", between=".")),
 }
+_DECIMAL = re.compile(r"(?<![\w.])[-+]?\d*\.\d+(?![\w.])")
+_FIRST = 1000  # numbers of a block that show the decimal mark
 _SPACES = re.compile("['\u2019\u00a0\u202f ]")
 _SPACED = re.compile(rf"[-+]?\d{{1,3}}({_SPACES.pattern}\d{{3}})+([.,]\d*)?")
 _TIME_OF_DAY = re.compile(r"(?<![\d:])(\d{1,2}):(\d{2}):(\d{2})(?:[.,:](\d+))?\s*([AaPp])?\.?[Mm]?\.?(?![\d:])")
@@ -126,6 +129,13 @@ class Cells:
         elif mark:
             self._unsure.setdefault(mark, place)
         return values.get(self._mark, next(iter(values.values())))
+
+    def look_for_points(self, text: str) -> None:
+        """Note whether a number in a text without commas within its cells can only have a decimal point."""
+        for match in islice(_DECIMAL.finditer(text), 0 if "." in self._sure else _FIRST):
+            if [*_values(match[0])] == ["."]:
+                self._sure["."] = repr(match[0])
+                return
 
     @property
     def has_commas(self) -> bool:

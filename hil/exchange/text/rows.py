@@ -10,7 +10,7 @@ import zlib
 from array import array
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from io import BufferedReader, TextIOWrapper
+from io import BufferedReader, StringIO, TextIOWrapper
 from itertools import islice, product
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TextIO
@@ -35,7 +35,8 @@ Rows = NDArray[np.int64]
 _TEXTS = 64  # at most in a column that names the rows
 _LARGEST = 1 << 36  # bytes of a file, which is read row by row
 _LONGEST = 1 << 20  # characters of a line; what is longer is read as several, none of which has the right fields
-_BLOCK = 1 << 22  # characters that are parsed at a time
+_BLOCK = 1 << 18  # characters that are parsed at a time
+_PACKED = 10_000  # lines of a compressed file that are
 _LOST = 0.01  # share of the rows that may be damaged: more mean that the table is not understood
 _READING = re.compile(r"[-+.]?\d")  # the begin of a number, whole or not
 _SNIFFED = 1 << 12  # bytes that show the encoding
@@ -90,23 +91,65 @@ def read(
     """Return the columns `wanted` (indices) of the rows that pass every filter.
 
     form: the layout. asked, sheet: the arguments with which it was found. mark: the decimal mark if a number may have
-    either. In a row that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be
-    cut off, and 1 % of the others damaged. Raises WrongUse with the row that is wrong.
+    either. NumPy reads the blocks that hold nothing but numbers, and only the others are read cell by cell; in a row of
+    these that does not pass, only the filtered cells are read. A missing reading is NaN. The last row may be cut off,
+    and 1 % of the others damaged. Raises WrongUse with the row that is wrong.
     """
-    if mark == "." and (found := _plain(source, form, asked, wanted, filters)) is not None:
-        return found
-    kept, places, damage, last = [array("d") for _ in wanted], array("q"), _Damage(), 0
-    behind = max((*wanted, *(at for at, _ in filters)), default=0)
+    parts, places, damage = [np.empty((len(wanted), 0))], [np.empty(0, dtype=np.int64)], _Damage()
+    above = last = form.above
+    needed = list(dict.fromkeys([*wanted, *(at for at, _ in filters)]))
     with _open(source, asked, sheet, damage) as lines:
         _skip(lines, form.above)
+        is_plain = isinstance(lines, _Lines) and plain.is_possible(form, needed, filters)
         cells = Cells(form.names, form.clocks, mark)
-        reader = form.reader(_without_nul(lines, form.above, damage))
-        for row in _rows(source, reader, form.above):
+        for block in lines.blocks() if is_plain and isinstance(lines, _Lines) else [lines]:
+            if isinstance(block, str) and above == form.above and plain.has_commas(block, form, needed):
+                cells = Cells(form.names, form.clocks, mark := ",")
+            found = plain.numbers(block, form, mark) if isinstance(block, str) else None
+            if isinstance(block, str) and found is not None:
+                kept = np.ones(len(found), dtype=np.bool_)
+                for at, one in filters:
+                    kept &= one.keeps(found[:, at])
+                parts.append((found if kept.all() else found[kept])[:, list(wanted)].T)
+                places.append(np.flatnonzero(kept) + above + 1)
+                above = last = above + len(found)
+                cells.look_for_points(block)
+                continue
+            body = StringIO(block, newline="") if isinstance(block, str) else block
+            reading = _Reading(source, form, cells, damage)
+            read_cells, read_places = reading.rows(body, above, wanted, filters)
+            parts.append(read_cells)
+            places.append(read_places)
+            above, last = reading.above, reading.last or last
+        if (other := cells.other_mark(source)) is not None:
+            return read(source, form, asked, wanted, filters, sheet=sheet, mark=other)
+    rows = np.concatenate(places)
+    return Read(np.concatenate(parts, axis=1), rows, damage.report(source, len(rows), last))
+
+
+class _Reading:
+    """Reads rows cell by cell. above: number of lines up to the last one that was read. last: that of the last row."""
+
+    def __init__(self, source: Path, form: Layout, cells: Cells, damage: _Damage) -> None:
+        self._source, self._form, self._cells, self._damage = source, form, cells, damage
+        self.above = self.last = 0
+
+    def rows(
+        self, lines: Iterator[str], above: int, wanted: Sequence[int], filters: Sequence[tuple[int, RowFilter]]
+    ) -> tuple[Array, Rows]:
+        """Return the columns `wanted`, (columns, n), and the line numbers (n,) of the rows that pass every filter.
+
+        above: number of lines above the first.
+        """
+        kept, places, cells = [array("d") for _ in wanted], array("q"), self._cells
+        behind = max((*wanted, *(at for at, _ in filters)), default=0)
+        reader = self._form.reader(_without_nul(lines, above, self._damage))
+        for row in _rows(self._source, reader, above):
             if not row:
                 continue
-            last = reader.line_num + form.above
+            self.last = last = reader.line_num + above
             try:
-                _check_length(form, row, last, behind)
+                _check_length(self._form, row, last, behind)
                 if all(
                     one.keeps(row[at].strip() if isinstance(one.value, str) else cells.number(last, at, row[at]))
                     for at, one in filters
@@ -116,33 +159,14 @@ def read(
                     for column, number in zip(kept, numbers, strict=True):
                         column.append(number)
             except NotANumber as error:
-                damage.note(source, last, str(error), form, row)
-        if (other := cells.other_mark(source)) is not None:
-            return read(source, form, asked, wanted, filters, sheet=sheet, mark=other)
-    table = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
-    return Read(table, np.array(places, dtype=np.int64), damage.report(source, len(places), last))
+                self._damage.note(self._source, last, str(error), self._form, row)
+        self.above = reader.line_num + above
+        table = np.array(kept, dtype=np.float64).reshape(len(kept), len(places))
+        return table, np.array(places, dtype=np.int64)
 
 
 def _skip(lines: Iterator[str], count: int) -> None:
     next(islice(lines, count, count), None)
-
-
-def _plain(
-    source: Path,
-    form: Layout,
-    asked: Collection[str],
-    wanted: Sequence[int],
-    filters: Sequence[tuple[int, RowFilter]],
-) -> Read | None:
-    """Return the columns `wanted` of a text that holds nothing but numbers, None of any other file."""
-    if formats.kind_of(source) == formats.WORKBOOK:
-        return None
-    with _open(source, asked, None, damage := _Damage()) as lines:
-        if not isinstance(lines, _Lines):
-            return None
-        _skip(lines, form.above)
-        found = plain.numbers(form, lines.block, wanted, filters)
-    return None if found is None or damage.cut_off else Read(*found, [])
 
 
 def _check_length(form: Layout, row: list[str], line: int, last: int) -> None:
@@ -235,7 +259,7 @@ def _open(
         return
     try:
         with _bytes(source) as raw, TextIOWrapper(raw, _encoding(source, wanted), "replace", newline="") as text:
-            yield _Lines(text, damage)
+            yield _Lines(text, damage, is_packed=source.suffix.lower() == ".gz")
     except (gzip.BadGzipFile, EOFError, zlib.error):
         raise WrongUse(f"{source} cannot be read (it is no gzip file, or is damaged): check the name") from None
     except OSError as error:
@@ -246,8 +270,8 @@ def _open(
 class _Lines:
     """The lines of a text. If a compressed file ends before its end mark, they end there, and `damage` says so."""
 
-    def __init__(self, text: TextIO, damage: _Damage) -> None:
-        self._text, self._damage, self._is_begun = text, damage, False
+    def __init__(self, text: TextIO, damage: _Damage, *, is_packed: bool) -> None:
+        self._text, self._damage, self._is_packed, self._is_begun = text, damage, is_packed, False
 
     def __iter__(self) -> _Lines:
         return self
@@ -262,12 +286,17 @@ class _Lines:
         self._is_begun = True
         return line
 
-    def block(self) -> str:
-        """Return some whole lines, "" at the end."""
-        try:
-            return self._text.read(_BLOCK) + self._text.readline(_LONGEST)
-        except EOFError:
-            return self._ended()
+    def blocks(self) -> Iterator[str]:
+        """Yield whole lines in blocks, without a line break in quotation marks at their ends."""
+        while text := self._block():
+            while text.count('"') % 2 and len(text) < _LONGEST and (more := next(self, "")):
+                text += more
+            yield text
+
+    def _block(self) -> str:
+        if self._is_packed:  # what is cut off ends within a block
+            return "".join(islice(self, _PACKED))
+        return self._text.read(_BLOCK) + self._text.readline(_LONGEST)
 
     def _ended(self) -> str:
         if not self._is_begun:

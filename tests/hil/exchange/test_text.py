@@ -150,6 +150,13 @@ def test_a_name_with_signs_is_a_name_in_a_sum_too(tmp_path: Path) -> None:
         ("0.004000,", "0.004000,,", COUNT - 1),
         ("0.004000,", '"0.004000",', COUNT),
         ("0.004000,", "0.004000,nan", COUNT - 1),
+        ("0.004000,0.", "0.004000,,0.", COUNT - 1),
+        (",0.1", ",", COUNT),
+        ("\n0.004000,", "\n,", COUNT),
+        ("0.004000", '"0.004000\n"', COUNT),
+        ("0.004000,", '"1,004.000",', COUNT),
+        ("0.004000,", "n/a,", COUNT),
+        ("\n", ",\n", COUNT),
     ],
 )
 def test_a_plain_body_reads_the_same_through_numpy_as_cell_by_cell(
@@ -157,6 +164,7 @@ def test_a_plain_body_reads_the_same_through_numpy_as_cell_by_cell(
 ) -> None:
     from hil.exchange.text import plain
 
+    monkeypatch.setattr("hil.exchange.text.rows._BLOCK", 300)
     body = (4 * PLAIN).replace(old, new, 1) if old else 4 * PLAIN
     (tmp_path / "a.csv").write_text("t,a,b\n" + body)
     found = open_table(tmp_path / "a.csv").read(["b", "t"], [])
