@@ -53,7 +53,9 @@ def numbers(text: str, form: Layout, mark: str) -> Array | None:
     if read is None and form.delimiter != " ":
         read = _parsed(_filled(text, re.escape(form.delimiter)), form.delimiter)
     lines = text.count("\n") + (not text.endswith("\n"))
-    return read if read is not None and read.shape == (lines, fields) else None
+    if read is None or read.shape != (lines, fields):
+        return None
+    return read if fields == len(form.names) else np.column_stack([read, np.full(lines, np.nan)])
 
 
 def _filled(text: str, between: str) -> str:

@@ -156,7 +156,7 @@ def test_a_name_with_signs_is_a_name_in_a_sum_too(tmp_path: Path) -> None:
         ("0.004000", '"0.004000\n"', COUNT),
         ("0.004000,", '"1,004.000",', COUNT),
         ("0.004000,", "n/a,", COUNT),
-        ("\n", ",\n", COUNT),
+        ("\n", ",\n", COUNT),  # a column without a name
     ],
 )
 def test_a_plain_body_reads_the_same_through_numpy_as_cell_by_cell(
@@ -166,7 +166,7 @@ def test_a_plain_body_reads_the_same_through_numpy_as_cell_by_cell(
 
     monkeypatch.setattr("hil.exchange.text.rows._BLOCK", 300)
     body = (4 * PLAIN).replace(old, new, 1) if old else 4 * PLAIN
-    (tmp_path / "a.csv").write_text("t,a,b\n" + body)
+    (tmp_path / "a.csv").write_text(("t,a,b,\n" if old == "\n" else "t,a,b\n") + body)
     found = open_table(tmp_path / "a.csv").read(["b", "t"], [])
     calls = []
     monkeypatch.setattr(plain, "numbers", lambda *given: calls.append(given))
