@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock, MonotonicClock, VirtualClock
 from ga.collector import uncollected
 
 _PRIORITY = 50  # of 1 to 99; the kernel's own interrupt threads have 50, and what is above is for them
@@ -40,6 +40,15 @@ def real_time(clock: Clock) -> Iterator[None]:
                 yield
         finally:
             gc.unfreeze()
+
+
+@contextmanager
+def connecting(backend: object) -> Iterator[None]:
+    """Run the enclosed block, which opens a drive of a backend, in the real-time class: otherwise the waits of a busy
+    computer are taken for those of its adapter.
+    """
+    with real_time(VirtualClock() if backend == "sim" else MonotonicClock()):
+        yield
 
 
 @contextmanager

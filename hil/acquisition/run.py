@@ -16,6 +16,7 @@ from hil.acquisition.guard import longest_silence
 from hil.acquisition.interrupt import StopRequest
 from hil.acquisition.phases import Outcome, Phase
 from hil.acquisition.planned_faults import FaultyHost
+from hil.acquisition.real_time import connecting
 from hil.acquisition.recorder import Recorder, tick_count
 from hil.diagnostics import Diagnostic
 from hil.errors import Untrustworthy, WrongUse
@@ -145,7 +146,10 @@ def _opened(
     plan, host = faulty
     watch = Watch(longest_silence(), profile.duration + _OVERTIME) if guardian else None
     watched = plan is None or "broken-watchdog" not in plan.kinds()
-    servo, truth = open_servo(stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch, watched=watched)
+    with connecting(stand.stand.backend):
+        servo, truth = open_servo(
+            stand, quantity=profile.mode, seed=seed, realtime=realtime, watch=watch, watched=watched
+        )
     return (servo if plan is None else FaultyServo(servo, plan, host)), truth
 
 

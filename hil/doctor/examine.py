@@ -17,7 +17,7 @@ from drivers.servo import BadReply, DriverError, NoReply, Quantity, Servo, Servo
 from drivers.torque_off import confirm_torque_off
 from hil.acquisition.commissioning import NOTHING_TURNS, Agree, require_agreement, require_release
 from hil.acquisition.interrupt import StopRequest
-from hil.acquisition.real_time import PERMISSION, missing_permissions
+from hil.acquisition.real_time import PERMISSION, connecting, missing_permissions
 from hil.doctor.checks import CheckList, Verdict, called
 from hil.doctor.commission import Report, commission
 from hil.doctor.jog import Jog, run_jog
@@ -127,7 +127,8 @@ def _connected(
 ) -> Iterator[Servo | None]:
     """Yield the servo, or None if it cannot be opened. Afterwards switch the torque off and close the link."""
     try:
-        servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
+        with connecting(stand.stand.backend):
+            servo, _ = open_servo(stand, quantity=mode, watch=_WATCH)
     except DriverError as error:
         checks.failed("connection", f"{error}{_searched(stand, error, search)}")
         yield None

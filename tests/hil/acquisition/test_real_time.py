@@ -12,9 +12,11 @@ from pathlib import Path
 import pytest
 
 from drivers.clock import MonotonicClock, VirtualClock
-from drivers.servo import Quantity
+from drivers.servo import DriverError, Quantity
 from hil.acquisition import real_time as module
+from hil.acquisition.excitation import make
 from hil.acquisition.real_time import missing_permissions, real_time
+from hil.acquisition.run import run
 from hil.doctor.checks import CheckList, Verdict
 from hil.doctor.examine import examine
 from hil.guardian import words
@@ -74,6 +76,29 @@ def test_in_virtual_time_nothing_is_changed() -> None:
     before = state()
     with real_time(VirtualClock()):
         assert state() == before
+
+
+@pytest.mark.parametrize("backend", ["sim", "dynamixel"])
+def test_a_real_drive_is_opened_in_the_real_time_class(
+    tmp_path: Path, backend: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    is_urgent = backend != "sim" and "the real-time class" not in missing_permissions()
+    policies = list[int]()
+
+    def opened(*_: object, **__: object) -> object:
+        policies.append(state()[0])
+        raise DriverError("no drive")
+
+    monkeypatch.setattr("hil.doctor.examine.open_servo", opened)
+    monkeypatch.setattr("hil.acquisition.run.open_servo", opened)
+    text = SIMULATED.replace('backend = "sim"', f'backend = "{backend}"')
+    stand = parse(text + '\n[dynamixel]\nport = "/dev/null"\nmodel = "xl330-m288"\n' if backend != "sim" else text)
+    examine(CheckList(), stand, Quantity.TORQUE, rate=100.0, move=False, search=lambda *_: [])
+    profile = make("ramp", Quantity.TORQUE, amplitude=0.01, default_amplitude=1.0, duration=1.0, band=None, rate=100.0)
+    with pytest.raises(DriverError):
+        run(stand, profile, rate=100.0, seed=0)
+    assert policies == 2 * [os.SCHED_FIFO if is_urgent else os.SCHED_OTHER]
 
 
 def test_what_is_not_permitted_is_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
