@@ -14,6 +14,7 @@ _LEVEL = r"\[?\s*(?:TRACE|DEBUG|INFO|NOTICE|WARN(?:ING)?|ERROR|FATAL)\s*\]?"
 _STAMP = re.compile(
     rf"^\s*(?:{_LEVEL}\s*\[\s*(?P<leveled>\d+\.\d+)\s*\](?:\s*\[[\w./-]+\])?\s*:|"
     rf"(?P<logged>{_TIME})(?:\s*[-:]?\s*[\w./-]+)??\s*[-:]?\s*{_LEVEL}(?:\s*[-:]|\s*[\w./-]+\s*:(?!\s*[-+.\d]))?|"
+    rf"[A-Z][a-z]{{2}} [ \d]\d (?P<journal>{_TIME}) \S+ [\w./-]+(?:\[\d+\])?:|[EWIDV] \((?P<ticks>\d+)\) [\w.-]+:|"
     rf"[\[(<]\s*(?P<inside>{_TIME}|\d+\.\d+)\s*[\])>]\s*(?:->|[:|>-](?!\d))?|(?P<before>{_TIME})\s*(?:->|>|\|))\s*"
 )
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)\b"

@@ -62,6 +62,8 @@ BESIDE = "".join(
         (written("t: {0:.6f}, Cell torque: {1:.6f} Nm, q={2:.6f}"), ["t", "Cell torque [Nm]", "q"], "t"),
         (written("{s} -> tau={1:.6f}\tq={2:.6f}\tmode=2"), ["received [s]", "tau", "q", "mode"], "received"),
         (written("[INFO] [{0:.6f}] [node]: tau: {1:.6f} q: {2:.6f}"), ["received", "tau", "q"], "received"),
+        (written("May  1 {s} rig motord[412]: tau={1:.6f} q={2:.6f}"), ["received [s]", "tau", "q"], "received"),
+        (written("I (412) arm: t={0:.6f} tau={1:.6f} q={2:.6f}"), ["received", "t", "tau", "q"], "t"),
         (written("{s} INFO arm: tau={1:.6f} q={2:.6f}"), ["received [s]", "tau", "q"], "received"),
         (written("{s} - arm - INFO - tau={1:.6f} q={2:.6f}"), ["received [s]", "tau", "q"], "received"),
         (written("{{'t': {0:.6f}, 'tau': {1:.6f}, 'q': {2:.6f}}}"), ["t", "tau", "q"], "t"),
