@@ -19,6 +19,7 @@ HAND = """\
 # A hand with three joints of the simulator: the tendon of the finger's flexor passes a second joint,
 # and the palm yields.
 [hand]
+name = "demo"
 backend = "sim"
 repeats = 1
 duration = 10
@@ -30,7 +31,7 @@ torque = "30 mN*m"
 deflection = 1.0
 velocity = 100.0
 [sim.fixture]
-palm = 3.0
+palm = 30.0
 [[joint]]
 name = "index_mcp"
 also_moves = {index_pip = 0.75}
