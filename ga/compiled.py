@@ -107,9 +107,7 @@ def compiled_as(function: Callable[P, R]) -> Callable[[Callable[P, R]], Callable
     """
 
     def taken(other: Callable[P, R]) -> Callable[P, R]:
-        def chosen(*_: Any) -> Callable[P, R]:
-            return other
-
+        chosen = lambda *_: other  # noqa: E731 - numba asks it for what it compiles
         vars(chosen)["__signature__"] = signature(function)  # numba compares it
         overload(function, jit_options=_CALLED)(chosen)  # type: ignore[arg-type]  # options that numba does not list
         return other

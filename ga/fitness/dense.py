@@ -30,7 +30,7 @@ both.
 """
 
 _ROUNDED = 1.0 + 1e-9
-"""The factor by which the cube is widened when rows are told apart, for the rounding of their residuals."""
+"""The factor by which the cube is widened when rows are distinguished, for the rounding of their residuals."""
 
 WIDER = 1.5
 """The ratio of the width of the collapsed cube to that of the cube in which the search begins: children overshoot their

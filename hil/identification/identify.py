@@ -161,7 +161,7 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
         reference=data.place.reference,
         solution=solution,
         values=values,
-        errors=exact.with_choice(chosen, sampling.half_width),
+        errors=exact.with_sampling_replaced(chosen, sampling.half_width),
         exact=(solution.values, own),
         scattered=components,
         unbounded=without_signs(solution.blocks, solution.values, positive_among(parameters)),
@@ -223,7 +223,7 @@ def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ:
         values=solution.values,
         half_width=evidence.errors.half_width + np.abs(evidence.values - solution.values),
         averaged=bool(data.choice.steps),
-        differing=data.edges if differ and data.whole else (),
+        ends_if_differing=data.edges if differ and data.whole else (),
     )
 
 

@@ -4,8 +4,6 @@ single wrong readings of a torque.
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
@@ -23,9 +21,6 @@ def difference(order: int) -> Array:
 
 
 _CUBIC = difference(4)
-
-_AT_ONCE: Final = 1 << 16
-"""The number of readings whose medians are computed at a time."""
 
 
 def unwrapped(angle: Array, torque: Array) -> tuple[Array, int]:
@@ -187,8 +182,8 @@ def _median(values: Array, width: int) -> Array:
     """
     windows = sliding_window_view(np.pad(values, width // 2, mode="reflect", reflect_type="odd"), width)
     found = np.empty(len(values))
-    for begin in range(0, len(values), _AT_ONCE):  # a copy of all windows would need `width` times the memory
-        part = slice(begin, begin + _AT_ONCE)
+    for begin in range(0, len(values), c.TABLE_ROWS):  # a copy of all windows would need `width` times the memory
+        part = slice(begin, begin + c.TABLE_ROWS)
         found[part] = np.partition(windows[part], width // 2, axis=1)[:, width // 2]
     return found
 

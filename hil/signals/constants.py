@@ -295,7 +295,7 @@ DENSE_READINGS = 20.0  # readings in a period of the fastest motion, which follo
 
 # Fit
 IN_MEMORY = 4_000_000  # rows, all recordings together, up to which the signals are held in memory
-TABLE_ROWS = 1 << 18  # rows of a table on disk that are read at a time
+TABLE_ROWS = 1 << 18  # rows of a table that are read or computed at a time
 LONG_SEARCH = 5_000_000  # generations from which a search says how long it will take
 TRIALS = 30  # the paper's trials of a search
 NONLINEAR_TRIALS = 5  # trials of a search for nonlinear parameters, half a second each

@@ -129,7 +129,7 @@ class Catalogue:
             self.points.append(Point((term.name,), {parameter.name: value}, at, at, place=(place,)))
 
     def _add_grid(self, name: str) -> None:
-        for brought in _brought(TERMS[name], self.terms):
+        for brought in _gridded_with(TERMS[name], self.terms):
             terms = (*brought, name)
             model = model_of(self.band.motion, terms)
             low, high = model.bounds(self.band.motion, self.band.highest)
@@ -186,11 +186,12 @@ def model_of(motion: Motion, terms: Iterable[str]) -> CouplingModel:
     return CouplingModel(canonical("+".join(dict.fromkeys((*_SMALLEST, *terms))))).anchored(motion)
 
 
-def _brought(term: Term, considered: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the needed terms with which a term shares its points, one tuple for each possibility; [()] for none.
+def _gridded_with(term: Term, considered: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the needed terms whose parameters are tried together with the term's, one tuple for each possibility: [()]
+    if the term is tried alone, [] if it needs one that is not considered.
 
-    A term shares its points with a needed term if the columns of one depend on the other's parameters. Any other needed
-    term, such as an offset, must be in the candidate already.
+    They are if the columns of one term depend on the other's parameters. Any other needed term, such as an offset, must
+    be in the candidate already.
     """
     needs = [need for need in (term.needs, *term.or_needs) if need]
     brings = [need for need in needs if TERMS[need].bounds is not None or term.smooths]

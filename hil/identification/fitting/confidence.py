@@ -34,15 +34,17 @@ class ConfidenceIntervals:
     inflation: Array
     correlation: Array
 
-    def with_choice(self, chosen: Array, sampling: Array) -> ConfidenceIntervals:
-        """Return the intervals with the sampling half widths replaced by those of averages over models.
+    def with_sampling_replaced(self, by: Array, sampling: Array) -> ConfidenceIntervals:
+        """Return the intervals with the sampling part of each half width replaced; the rest, such as the scatter of
+        recordings and errors of the rate, is kept in quadrature.
 
-        chosen (p,): the half widths of the averages. sampling (p,): the half widths to be replaced.
+        by (p,): half widths that include the choice of the model, the span of Kc and errors of the deflection. sampling
+        (p,): the part to be replaced.
         """
         known = np.isfinite(sampling)
         squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
-        other = np.sqrt(np.maximum(squares, 0.0))
-        return replace(self, half_width=np.where(chosen == sampling, self.half_width, np.hypot(chosen, other)))
+        rest = np.sqrt(np.maximum(squares, 0.0))
+        return replace(self, half_width=np.where(by == sampling, self.half_width, np.hypot(by, rest)))
 
 
 @dataclass(frozen=True, slots=True)

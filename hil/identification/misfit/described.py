@@ -33,9 +33,9 @@ class Described:
 
     signals: all samples (n,). kept (n,): which samples the model describes; there are m. residuals (m,) N m and columns
     (m, p): at these samples. values and half_width (p,): the parameters, and half their intervals. averaged: whether
-    the intervals include the small effects of every bench, which are then no misfit. differing: the row at which each
-    recording ends, for pooled recordings that differ from each other; () if they do not differ. Such a difference has a
-    diagnostic of its own, so no effect that changes with time is suggested as its cause.
+    the intervals include the small effects of every bench, which are then no misfit. ends_if_differing: the fitted
+    row, of m, at which each recording ends, for pooled recordings that differ from each other; () if they do not
+    differ. Such a difference has a diagnostic of its own: no effect that changes with time is suggested as its cause.
     """
 
     model: SeparableModel
@@ -46,7 +46,7 @@ class Described:
     values: Array
     half_width: Array
     averaged: bool = False
-    differing: tuple[int, ...] = ()
+    ends_if_differing: tuple[int, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,7 +189,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     skew = next((names.index(name) for name in of_kind(names, "delay")), None)
     if described.averaged:
         columns = np.concatenate([columns, *_of_every_bench(described, alone, residuals, columns)], axis=1)
-    if described.differing and coupling is not None:
+    if described.ends_if_differing and coupling is not None:
         columns = np.concatenate([columns, _of_each_recording(described, columns[:, list(coupling)])], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
     columns = np.concatenate([columns, *_of_jumps(described, motion, residuals, columns)], axis=1)
@@ -227,11 +227,10 @@ def _of_every_bench(described: Described, motion: Motion, residuals: Array, colu
 def _of_each_recording(described: Described, coupling: Array) -> Array:
     """Return the columns (n, k) that give each recording its own Kc and Bc.
 
-    coupling (n, 2): the common columns of Kc and Bc. The mean of the new columns over the recordings is zero, so the
-    common Kc and Bc do not change.
+    coupling (n, 2): the common columns of Kc and Bc. The recordings' deviations from the common Kc and Bc sum to zero.
     """
-    count = len(described.differing)
-    at = np.searchsorted(described.differing, np.cumsum(described.kept) - 1, side="right").clip(0, count - 1)
+    count = len(described.ends_if_differing)
+    at = np.searchsorted(described.ends_if_differing, np.cumsum(described.kept) - 1, side="right").clip(0, count - 1)
     weights = np.concatenate([np.eye(count - 1), -np.ones((1, count - 1))])[at]  # (n, count - 1)
     return np.concatenate([weights * column[:, None] for column in coupling.T], axis=1)
 

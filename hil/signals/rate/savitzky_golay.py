@@ -184,23 +184,22 @@ def _derivatives(time: Array, values: Array, half: int, order: int, windows: Ind
     middle, scale, base = 0.5 * (low + high), 0.5 * (high - low), values[windows[:, 0]]
     sums, right = np.zeros((2 * DEGREE + 1, len(windows))), np.zeros((DEGREE + 1, len(windows)))
 
-    def add(sample: Index, sign: Array | None = None) -> None:
-        basis = _chebyshev((time[sample] - middle) / scale, len(sums))
-        if sign is not None:
-            basis *= sign
+    def count_in(sample: Index, weight: Array | float = 1.0) -> None:
+        """Add one sample (b,) of each block to the block's sums: of weight 1 it enters, -1 leaves, 0 stays."""
+        basis = weight * _chebyshev((time[sample] - middle) / scale, len(sums))
         np.add(sums, basis, out=sums)
         basis = basis[: len(right)]
         basis *= values[sample] - base
         np.add(right, basis, out=right)
 
     for at in range(width):
-        add(starts[:, 0] + at)
+        count_in(starts[:, 0] + at)
     for number, sample in enumerate(windows.T):
         if number:
             before = starts[:, number - 1]
             moved = (starts[:, number] - before).astype(np.float64)  # at the ends of a recording windows stay
-            add(before, -moved)
-            add(np.minimum(before + width, len(time) - 1), moved)
+            count_in(before, -moved)
+            count_in(np.minimum(before + width, len(time) - 1), moved)
         at_sample = _chebyshev_derivative((time[sample] - middle) / scale, order)
         found[:, number] = (at_sample * _solved(sums, right)).sum(axis=0) / scale**order + (base if order == 0 else 0.0)
     return found
