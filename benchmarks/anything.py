@@ -50,7 +50,7 @@ SWITCHED_ON = {  # what a stand has only where it is drawn: the smallest and the
 MODELS = (
     ("linear", "linear+offset"), ("linear", "linear+coulomb"), ("linear", "linear+cubic"), ("linear", "linear+skew"),
     ("linear+offset", "linear+offset+skew"), ("linear", "linear+dahl"), ("linear", "linear+backlash"),
-    ("linear", "linear+delay+offset"), ("linear", "linear+slack"), ("linear+cubic", "linear+cubic+quintic"),
+    ("linear", "linear+delay+offset"), ("linear", "linear+quadratic"), ("linear+cubic", "linear+cubic+quintic"),
 )  # fmt: skip
 _TIMES = 20  # stands that are drawn until one is possible
 WORSE = 1e-6  # relative difference of the fitness, above which a model fits worse than one that it contains

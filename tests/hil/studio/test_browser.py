@@ -239,6 +239,7 @@ def test_the_joints_of_a_hand_are_recorded_one_after_the_other(opened: Opened, t
         page.check("#row")
         for stopped in (True, False):  # STOP ends the row
             page.click("#start")
+            page.locator("#state", has_text="Recording").wait_for()  # until then the figures are those of the last run
             wait_for_rows(page)
             if stopped:
                 page.keyboard.press("Escape")
