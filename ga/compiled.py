@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, ParamSpec, Type
 
 from ga import first_run
 from ga.collector import uncollected
-from ga.own_numba import appdirs, event, global_compiler_lock, numba, overload, register_jitable
+from ga.own_numba import appdirs, event, global_compiler_lock, numba, overload, register_jitable, rtsys
 
 if sys.platform != "win32":
     import fcntl
@@ -56,6 +56,8 @@ _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cf
 _CALLED: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 _numba: Any = numba.config  # set from the environment by name, unseen by a type checker
 _appdirs: Any = appdirs
+_LEAN: Final = ((0, 61), (0, 68))
+"""The first and the last version of numba whose machine code was tested without numba's declarations."""
 _log: Final = logging.getLogger(__name__)
 KEPT: Final = 20
 """The number of folders of machine code that are kept for each package, the most recently used first."""
@@ -185,16 +187,37 @@ def _compiled_in_memory(compile_: Callable[..., Any], *signature: Any) -> Any:
     return _between_interrupts(compile_, *signature)
 
 
-def _loaded(stored: Any, load: Callable[..., Any], *signature: Any) -> Any:
+def _loaded(stored: Any, load: Callable[..., Any], types: Any, target: Any) -> Any:
     """Load machine code; None if there is none. If a file is damaged, clear the index `stored`, so that it is compiled
     again.
+
+    types: of the arguments. target: numba's declarations of all that it can compile.
     """
     try:
-        return load(*signature)
+        with _not_declared_again(target):
+            return load(types, target)
     except Exception:  # noqa: BLE001 - bytes of a damaged file can raise anything
         with suppress(OSError):
             stored.flush()
         return None
+
+
+@contextmanager
+def _not_declared_again(target: Any) -> Iterator[None]:
+    """Context manager: inside the `with` block numba does not import what only a compilation needs.
+
+    Machine code calls numba's run-time library and the C library only; the import would take a quarter of a second, and
+    numba makes up for it where it compiles. Other versions of numba than the tested ones load as they are made to.
+    """
+    if not _LEAN[0] <= numba.version_info.short <= _LEAN[1]:
+        yield
+        return
+    rtsys.initialize(target)
+    target.refresh = lambda: None
+    try:
+        yield
+    finally:
+        del target.refresh
 
 
 def _kept(save: Callable[..., None], *made: Any) -> None:

@@ -89,6 +89,16 @@ def rewrite(source: Path, text: str) -> None:
     os.utime(source, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
+def test_kept_machine_code_is_loaded_without_what_numba_needs_to_compile(package: Path, tmp_path: Path) -> None:
+    ask(package, tmp_path / "cache")  # compiles it
+    question = f"{ASK}; import sys; print('numba.np.arrayobj' in sys.modules)"
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache"), "PYTHONPATH": f"{package.parent}:{ROOT}"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-c", question]
+    said = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert said.split() == ["2.0", "True", "False"]
+
+
 @pytest.mark.study
 def test_of_two_processes_that_need_a_function_one_compiles_it(package: Path, tmp_path: Path) -> None:
     asked = [begin(ASK, package, tmp_path / "cache") for _ in range(2)]
