@@ -37,7 +37,7 @@ if "numba" not in sys.modules:
 import numba  # noqa: E402 - what is above comes first
 from numba.core import event  # noqa: E402
 from numba.core.compiler_lock import global_compiler_lock  # noqa: E402
-from numba.core.runtime import rtsys  # noqa: E402
+from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.extending import overload, register_jitable  # noqa: E402
 from numba.misc import appdirs  # noqa: E402
 

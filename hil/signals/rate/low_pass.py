@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ga.arrays import Array, Index, Mask
 from hil.signals import constants as c
-from hil.signals.rate.savitzky_golay import local_polynomial, local_weights
+from hil.signals.rate.savitzky_golay import local_polynomial, local_weights, neighbours
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -228,10 +228,9 @@ def _to_grid(time: Array, grid: Array, near: int) -> csr_array:
     """
     from scipy.sparse import csr_array, vstack
 
-    count, width = len(time), 2 * near + 1
-    neighbours = np.clip(np.arange(count) - near, 0, count - width)[:, None] + np.arange(width)
-    rows = width * np.arange(count + 1)
-    fits = [csr_array((one.ravel(), neighbours.ravel(), rows)) for one in local_weights(time, time[neighbours])]
+    count, width, samples = len(time), 2 * near + 1, np.arange(len(time))
+    columns, rows = neighbours(near, samples, count).ravel(), width * np.arange(count + 1)
+    fits = [csr_array((local_weights(time, near, order, samples).ravel(), columns, rows)) for order in (0, 1)]
     return _matrix(_cubic(time, grid), count) @ vstack(fits, format="csr")
 
 

@@ -30,9 +30,7 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
     """
     time, values = (np.ascontiguousarray(one, dtype=np.float64) for one in (time, values))
     if len(time) <= 4 * half + 2 or not _is_even(time):
-        if len(time) > THREAD_SAMPLES:
-            return _fitted(time, values, half, order)
-        return _remembered(time.tobytes(), values.tobytes(), half, order).copy()
+        return _fitted(time, values, half, order)
     found, width = np.empty(len(time)), 2 * half + 1
     per_time = ((len(time) - 1) / (time[-1] - time[0])) ** order
 
@@ -51,19 +49,18 @@ def local_polynomial(time: Array, values: Array, half: int, order: int) -> Array
     return found
 
 
-def local_weights(time: Array, windows: Array) -> tuple[Array, Array]:
-    """Return the weights (n, m) of the m readings in each window that give value and slope per s.
+def local_weights(time: Array, half: int, order: int, samples: Index) -> Array:
+    """Return the weights (k, 2*half+1) of the readings in each window that give the derivative of `order`, 0 to 2, per
+    s^order.
 
-    time (n,): the times of the results, s. windows (n, m): the times of the readings, s.
+    time (n,): s, rising. samples (k,): the centres of the windows; at the ends the first or last 2*half+1 samples are
+    the window. NaN where the stamps determine no polynomial.
     """
-    middle, scale = 0.5 * (windows[:, 0] + windows[:, -1]), 0.5 * (windows[:, -1] - windows[:, 0])
-    chebyshev = np.polynomial.chebyshev
-    basis = chebyshev.chebvander((windows - middle[:, None]) / scale[:, None], DEGREE)
-    at, slopes = (time - middle) / scale, chebyshev.chebder(np.eye(DEGREE + 1))
-    wanted = [chebyshev.chebvander(at, DEGREE), chebyshev.chebvander(at, DEGREE - 1) @ slopes / scale[:, None]]
-    shares = np.linalg.solve(basis.transpose(0, 2, 1) @ basis, np.stack(wanted, axis=2))
-    value, slope = (basis @ shares).transpose(2, 0, 1)
-    return value, slope
+    near = time[neighbours(half, samples, len(time))].T
+    middle, scale = 0.5 * (near[0] + near[-1]), 0.5 * (near[-1] - near[0])
+    basis = np.array([_chebyshev((one - middle) / scale, 2 * DEGREE + 1) for one in near])
+    shares = _solved(basis.sum(axis=0), _chebyshev_derivative((time[samples] - middle) / scale, order))
+    return np.asarray((basis[:, : DEGREE + 1] * shares).sum(axis=1) / scale**order).T
 
 
 def _is_even(time: Array) -> bool:
@@ -73,28 +70,39 @@ def _is_even(time: Array) -> bool:
     return bool(np.all(np.abs(time - grid) <= rounding))
 
 
-@lru_cache(maxsize=16)  # an identification asks for the rate and its smoothness again and again
-def _remembered(time: bytes, values: bytes, half: int, order: int) -> Array:
-    return _fitted(np.frombuffer(time), np.frombuffer(values), half, order)
-
-
 def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
     """Return the derivative of `order` of a polynomial fitted to each window of `half` neighbours on each side, for
     stamps that need not be evenly spaced.
     """
+    if _together(half) == 1 and len(time) <= THREAD_SAMPLES:
+        return _weighed(values, half, order, np.arange(len(time)), _kept_weights(time.tobytes(), half, order))
     found = np.empty(len(time))
 
     def fit(first: int, last: int) -> None:
         begin = np.arange(first, last, _together(half))
         windows = np.minimum(begin[:, None] + np.arange(_together(half)), last - 1)
-        together = _are_alike(time, half, windows)
-        alone = np.unique(windows[~together])[:, None]
+        together = _are_alike(time, half, windows) & (_together(half) > 1)
+        alone = np.unique(windows[~together])
         with np.errstate(all="ignore"):  # across a gap in time there may be no fit
-            for block in (windows[together], alone):
-                found[block] = _derivatives(time, values, half, order, block)
+            found[windows[together]] = _derivatives(time, values, half, order, windows[together])
+            found[alone] = _weighed(values, half, order, alone, local_weights(time, half, order, alone))
 
     _in_parts(fit, 0, len(time))
     return found
+
+
+@lru_cache(maxsize=16)  # an identification asks for the motion of many readings at the same stamps
+def _kept_weights(stamps: bytes, half: int, order: int) -> Array:
+    time = np.frombuffer(stamps)
+    with np.errstate(all="ignore"):
+        return local_weights(time, half, order, np.arange(len(time)))
+
+
+def _weighed(values: Array, half: int, order: int, samples: Index, weights: Array) -> Array:
+    """Return the derivative (k,) of `order` at samples (k,). weights (k, 2*half+1): of the readings in each window."""
+    base = values[samples]  # small numbers lose fewer digits
+    near = values[neighbours(half, samples, len(values))] - base[:, None]
+    return np.asarray(np.einsum("kw,kw->k", weights, near) + (base if order == 0 else 0.0))
 
 
 def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
@@ -155,6 +163,11 @@ def widest(order: int, cycles: float, most: int, tolerance: float) -> int:
     while half < most and abs(gain(half + 1, order, cycles) - 1.0) <= tolerance:
         half += 1
     return half
+
+
+def neighbours(half: int, samples: Index, count: int) -> Index:
+    """Return the samples (k, 2*half+1) in the window of each sample (k,)."""
+    return _first(half, samples, count)[:, None] + np.arange(2 * half + 1)
 
 
 def _first(half: int, sample: Index, count: int) -> Index:
