@@ -42,12 +42,18 @@ class Plugin:
         )
 
 
-@cache
 def plugins(group: str) -> dict[str, Plugin]:
     """Return the entry points of a group by name. If two have the same name, the first on the search path is
     returned.
     """
-    found: dict[str, Plugin] = {}
-    for point in entry_points(group=group):
-        found.setdefault(point.name, Plugin(point))
+    return installed().get(group, {})
+
+
+@cache
+def installed() -> dict[str, dict[str, Plugin]]:
+    """Return the entry points of both groups. One search reads a file of every installed package."""
+    every, found = entry_points(), dict[str, dict[str, Plugin]]()
+    for group in (BACKENDS, MODELS):
+        for point in every.select(group=group):
+            found.setdefault(group, {}).setdefault(point.name, Plugin(point))
     return found

@@ -62,18 +62,37 @@ def _slopes(knots: Array, values: Array) -> Array:
     """
     if len(knots) < _FEWEST:
         return np.asarray(np.gradient(values, knots, axis=1, edge_order=2 if len(knots) > 2 else 1))
-    from scipy.linalg import solve_banded
-
     step = np.diff(knots)
     chord, both = np.diff(values, axis=1) / step, step[:-1] + step[1:]
-    bands, right = np.zeros((3, len(knots))), np.empty_like(values)
-    bands[1, 1:-1], bands[0, 2:], bands[2, :-2] = 2.0 * both, step[:-1], step[1:]
-    right[:, 1:-1] = 3.0 * (step[1:] * chord[:, :-1] + step[:-1] * chord[:, 1:])
-    bands[1, 0], bands[0, 1] = step[1], both[0]
-    right[:, 0] = ((step[0] + 2.0 * both[0]) * step[1] * chord[:, 0] + step[0] ** 2 * chord[:, 1]) / both[0]
-    bands[1, -1], bands[2, -2] = step[-2], both[-1]
-    right[:, -1] = (step[-1] ** 2 * chord[:, -2] + (2.0 * both[-1] + step[-1]) * step[-2] * chord[:, -1]) / both[-1]
-    return np.asarray(solve_banded((1, 1), bands, right.T, check_finite=False).T)
+    below, diagonal, above = np.zeros((3, len(knots)))
+    right = np.empty(values.shape[::-1])
+    diagonal[1:-1], above[1:-1], below[1:-1] = 2.0 * both, step[:-1], step[1:]
+    right[1:-1] = 3.0 * (step[1:] * chord[:, :-1] + step[:-1] * chord[:, 1:]).T
+    diagonal[0], above[0] = step[1], both[0]
+    right[0] = ((step[0] + 2.0 * both[0]) * step[1] * chord[:, 0] + step[0] ** 2 * chord[:, 1]) / both[0]
+    diagonal[-1], below[-1] = step[-2], both[-1]
+    right[-1] = (step[-1] ** 2 * chord[:, -2] + (2.0 * both[-1] + step[-1]) * step[-2] * chord[:, -1]) / both[-1]
+    solve_three_diagonals(below, diagonal, above, right)
+    return right.T
+
+
+@compiled_no_refcount
+def solve_three_diagonals(below: Array, diagonal: Array, above: Array, right: Array) -> None:
+    """Replace the right sides (n, k) of equations by their solutions, and the diagonal (n,) by the pivots.
+
+    below, above (n,): the elements beside the diagonal of each row. No rows are exchanged: once the first row of a
+    spline is eliminated, the diagonal dominates.
+    """
+    for i in range(1, len(diagonal)):
+        factor = below[i] / diagonal[i - 1]
+        diagonal[i] -= factor * above[i - 1]
+        for k in range(right.shape[1]):
+            right[i, k] -= factor * right[i - 1, k]
+    for i in range(len(diagonal) - 1, -1, -1):
+        for k in range(right.shape[1]):
+            if i < len(diagonal) - 1:
+                right[i, k] -= above[i] * right[i + 1, k]
+            right[i, k] /= diagonal[i]
 
 
 @compiled_no_refcount

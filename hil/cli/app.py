@@ -115,6 +115,7 @@ def main() -> NoReturn:
     if ended is not None:
         os._exit(ended)
     StopRequest.exit_follows = True
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for them reads a file of every package
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     try:

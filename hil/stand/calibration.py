@@ -27,7 +27,7 @@ def _in_utc(date: datetime) -> datetime:
 
 
 class _Dated(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     date: Annotated[datetime, AfterValidator(_in_utc)]
 
@@ -90,7 +90,7 @@ class CalibrationTable(BaseModel):
     old.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     valid_days: Annotated[Positive, Field(le=1e5)] = 365.0
     torque: TorqueCalibration | None = None

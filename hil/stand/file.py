@@ -50,7 +50,7 @@ Error = tuple[Place, str]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class StandTable(_Table):

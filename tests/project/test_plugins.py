@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from ga.model import terms
-from hil.plugins import plugins
+from hil.plugins import installed
 
 from ..hil.conftest import Hil, hil  # noqa: F401 - a fixture
 
@@ -63,9 +63,9 @@ def packages(site: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     importlib.invalidate_caches()
     tables: list[dict[str, Any]] = [terms._terms, terms._parameters]
     before = [dict(table) for table in tables]
-    plugins.cache_clear()
+    installed.cache_clear()
     yield
-    plugins.cache_clear()
+    installed.cache_clear()
     for table, kept in zip(tables, before, strict=True):
         table.clear()
         table.update(kept)

@@ -196,11 +196,9 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
     """Return readings (n,) or (k, n) at even times, filtered by each of the first kernels, (kernels, n) or (k, kernels,
     n).
     """
-    from scipy.fft import next_fast_len
-
     before, end = low_pass.half, low_pass.half + even.shape[-1]
     # scipy.signal would cost half a second of start-up; what goes around the end is before the first of what is kept
-    size = next_fast_len(end + before, real=True)
+    size = _fast_size(end + before)
     padded = np.zeros((*even.shape[:-1], size))  # np.pad takes half as long as the transform
     padded[..., before:end] = even - even[..., :1]
     padded[..., end : end + before] = padded[..., end - 1 : end]
@@ -208,6 +206,13 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
     found = found[..., 2 * before : end + before]
     found[..., 0, :] += even[..., :1]
     return np.asarray(found)
+
+
+def _fast_size(least: int) -> int:
+    """Return the smallest size of at least `least` that is a power of two times 1, 9/8, 5/4, 3/2 or 15/8: its transform
+    is fast.
+    """
+    return min(eighths << max((-(-least // eighths) - 1).bit_length(), 0) for eighths in (8, 9, 10, 12, 15))
 
 
 def _is_even(time: Array, low_pass: LowPass) -> bool:
