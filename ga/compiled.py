@@ -160,6 +160,8 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
             dispatcher: Any = numba.njit(**every)(function)
         except RuntimeError:  # a full disk has no room for a folder of this module's functions
             folder, dispatcher = None, numba.njit(**(every | {"cache": False}))(function)
+    # no other package adds to what is compiled here, and a search for one that does reads a file of every package
+    dispatcher._compilation_chain_init_hook = _nothing
     if folder is None:
         dispatcher.compile = partial(_compiled_in_memory, dispatcher.compile)
     else:
@@ -168,6 +170,10 @@ def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]
         dispatcher._cache.load_overload = partial(_loaded, dispatcher._cache, dispatcher._cache.load_overload)
         dispatcher._cache.save_overload = partial(_kept, dispatcher._cache.save_overload)
     return cast("Callable[P, R]", dispatcher)
+
+
+def _nothing() -> None:
+    """Stand in for what numba would do and that needs not be done here."""
 
 
 def _compiled_once(compile_or_load: Callable[..., Any], lock: Path, *signature: Any) -> Any:
@@ -213,7 +219,7 @@ def _not_declared_again(target: Any) -> Iterator[None]:
         yield
         return
     rtsys.initialize(target)
-    target.refresh = lambda: None
+    target.refresh = _nothing
     try:
         yield
     finally:

@@ -58,9 +58,9 @@ def local_weights(time: Array, half: int, order: int, samples: Index) -> Array:
     """
     near = time[neighbours(half, samples, len(time))].T
     middle, scale = 0.5 * (near[0] + near[-1]), 0.5 * (near[-1] - near[0])
-    basis = np.array([_chebyshev((one - middle) / scale, 2 * DEGREE + 1) for one in near])
-    shares = _solved(basis.sum(axis=0), _chebyshev_derivative((time[samples] - middle) / scale, order))
-    return np.asarray((basis[:, : DEGREE + 1] * shares).sum(axis=1) / scale**order).T
+    basis = _chebyshev(((near - middle) / scale).ravel(), 2 * DEGREE + 1).reshape(2 * DEGREE + 1, *near.shape)
+    shares = _solved(basis.sum(axis=1), _chebyshev_derivative((time[samples] - middle) / scale, order))
+    return np.asarray(np.einsum("pwk,pk->wk", basis[: DEGREE + 1], shares) / scale**order).T
 
 
 def _is_even(time: Array) -> bool:
