@@ -150,5 +150,6 @@ def _corrected(estimate: Estimate, value: float, error: float, common: float) ->
         conditional=None,
         optimiser=replace(trials, best=trials.best + shift, mean=trials.mean + shift),
         identifiable=estimate.identifiable and narrow(half, value),
+        widths={"joint and fixture": half},
     )
     return with_scale(alone, common)

@@ -28,6 +28,7 @@ from hil.identification.fitting.unloaded import rest_for
 from hil.identification.fitting.validation import validated
 from hil.identification.misfit.described import Described, tested
 from hil.identification.mixture.average import averaged
+from hil.identification.mixture.width import Width, beyond, combined
 from hil.identification.result import Estimate, Identification, Step, with_scale
 from hil.identification.same_stand import calibration_diagnostics, other_joints_diagnostics, same_stand_diagnostics
 from hil.identification.verdict.deflection import (
@@ -144,25 +145,32 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     span = data.place.span(fitted, model.terms if isinstance(model, CouplingModel) else ())
     if data.choice.steps:
         span = span_met(motion, *given) or data.place.beside_turn(fitted, float(np.ptp(motion.dtheta))) or span
+    reach = np.zeros_like(chosen)
     if span is not None:
         values[0] += 0.5 * (span[0] + span[1]) - solution.values[0]  # Kc
-        chosen[0] += 0.5 * (span[1] - span[0])
-    chosen = np.hypot(chosen, deflection.half_width) if deflection else chosen
+        reach[0] = 0.5 * (span[1] - span[0])
     values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
     # held set-points make the rate, and so Bc, wrong by anything up to `taken_off`
     taken_off = most_taken_off(data.signals) or _most_without_command(data.signals, size_of(fitted, "delay"))
-    rate = c.NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * solution.values
+    rate = c.NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * np.abs(solution.values)
     rate[[name != "Bc" for name in given[0]]] = 0.0
-    exact = replace(pooled, half_width=np.hypot(pooled.half_width, rate))
-    own = np.hypot(exact.half_width, deflection.half_width) if deflection else exact.half_width
+    noise = np.minimum(sampling.half_width, chosen)
+    others = [
+        Width("differences between recordings", beyond(pooled.half_width, sampling.half_width)),
+        Width("errors of the deflection", deflection.half_width if deflection else np.zeros_like(noise)),
+        Width("errors of the rate", rate),
+    ]
+    choice = [Width("noise", noise), Width("choice of the model", beyond(chosen, noise))]
+    widths = [*choice, *others, Width("range of Kc", reach, is_range=True)]
     return Evidence(
         model=data.choice.model,
         signals=data.signals,
         reference=data.place.reference,
         solution=solution,
         values=values,
-        errors=exact.with_sampling_replaced(chosen, sampling.half_width),
-        exact=(solution.values, own),
+        errors=replace(pooled, half_width=combined(widths)),
+        widths=tuple(widths),
+        exact=(solution.values, combined([Width("noise", sampling.half_width), *others])),
         scattered=components,
         unbounded=without_signs(solution.blocks, solution.values, positive_among(parameters)),
         holdout=validated(data, solution.blocks, solution.values, np.isfinite(sampling.half_width)),

@@ -89,8 +89,9 @@ class Estimate:
     recording and if fewer than two recordings identify the parameter. depends_on: the quantity that the parameter
     changes with, such as "amplitude", if it has no single value: `ci95` then spans its values, and `value` is the
     middle. positive: whether the parameter cannot be negative for physical reasons. correlation: of its sampling
-    error with those of all parameters, by name. ci95_without_scale: the 95 % interval if the torque's scale is exact,
-    None if `ci95` is that interval.
+    error with those of all parameters, by name. widths: what half the width of `ci95` consists of, by source; ranges
+    and a misfit are added to the root of the sum of squares of the others. ci95_without_scale: the 95 % interval if
+    the torque's scale is exact, None if `ci95` is that interval.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Estimate:
     depends_on: str | None = None
     positive: bool = False
     correlation: Mapping[str, float] = field(default_factory=dict, repr=False)
+    widths: Mapping[str, float] = field(default_factory=dict, repr=False)
     ci95_without_scale: tuple[float, float] | None = field(default=None, repr=False)
 
     @property
@@ -290,7 +292,8 @@ def with_scale(one: Estimate, uncertainty: float) -> Estimate:
         ends = low[0], high[1]
     if alone is not None:
         alone = replace(alone, ci95=widened(alone.value, alone.ci95, uncertainty, positive=one.positive))
-    return replace(one, ci95=ends, ci95_without_scale=one.ci95, conditional=alone)
+    widths = {**one.widths, "torque's scale": c.NORMAL * uncertainty * abs(one.value)}
+    return replace(one, ci95=ends, ci95_without_scale=one.ci95, conditional=alone, widths=widths)
 
 
 def standard_error(estimate: Estimate) -> float:

@@ -172,6 +172,7 @@ def identification_lines(found: Identification) -> list[str]:
         f"validation on 20 % held-out data: mean |torque error| {found.validation.fitness * factor:.3g} {unit}; "
         f"r.m.s. error {found.validation.nrmse:.2%} of the torque",
         *optimum_lines(found),
+        *_width_lines(found),
         *_component_lines(found),
         *deflection_lines(found.deflection),
         *_fixture_lines(found),
@@ -251,11 +252,21 @@ def optimum_lines(found: Identification) -> list[str]:
         for one in others
         for factor, unit in [people_unit(one.unit, milli=milli(found))]
     )
-    shares = " and ".join(f"{one.choice:.0%} of the interval of {one.name}" for one in others)
     subject = f"{others[0].name} is" if len(others) == 1 else "Kc and Bc are"
-    choice = f"; the choice of the model makes {shares}" if found.steps else ""
     reasons = ", ".join(why) or "the middle of a range"
-    return [f"{subject} {reasons}: the exact optimum of {found.model.name} alone is {alone}{choice}"]
+    return [f"{subject} {reasons}: the exact optimum of {found.model.name} alone is {alone}"]
+
+
+def _width_lines(found: Identification) -> list[str]:
+    """Return for Kc and Bc a line that says what makes the interval wide, in percent of the value, most first."""
+    lines = []
+    for estimate in found.estimates[:2]:
+        if estimate.value and math.isfinite(estimate.half_width):
+            percent = 100.0 / abs(estimate.value)
+            widths = sorted(estimate.widths.items(), key=lambda one: -one[1])
+            parts = ", ".join(f"{source} {half * percent:.2g} %" for source, half in widths)
+            lines.append(f"{estimate.name} is known within {estimate.half_width * percent:.2g} %: {parts}")
+    return lines
 
 
 def _component_lines(found: Identification) -> list[str]:

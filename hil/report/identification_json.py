@@ -105,6 +105,7 @@ def _parameter(estimate: Estimate) -> dict[str, Any]:
         "ci95_without_torque_scale": [json_number(end) for end in estimate.without_scale.ci95],
         "conditional": _conditional(estimate),
         "choice_share": estimate.choice,
+        "widths": {source: json_number(half) for source, half in estimate.widths.items()},
         "depends_on": estimate.depends_on,
         "identifiable": estimate.identifiable,
         "at_bound": estimate.at_bound,

@@ -17,8 +17,9 @@ from typing import Any
 import numba
 import pytest
 
-from ga.compiled import KEPT, _compiled_once, cache_folder, changeable_by_others, compiled, compiled_when_worth
+from ga.compiled import _compiled_once, compiled, compiled_when_worth
 from ga.first_run import announced_to
+from ga.machine_code import KEPT, cache_folder, changeable_by_others
 
 CONFIG: Any = numba.config
 CALLER = "from ga.compiled import compiled\nfrom joint.{callee} import stiffness\n\n\n@compiled\ndef torque(x):\n    return stiffness() * x\n"  # noqa: E501

@@ -11,7 +11,7 @@ This is the error due to the data for a given model. It does not include effects
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,18 +33,6 @@ class ConfidenceIntervals:
     half_width: Array
     inflation: Array
     correlation: Array
-
-    def with_sampling_replaced(self, by: Array, sampling: Array) -> ConfidenceIntervals:
-        """Return the intervals with the sampling part of each half width replaced; the rest, such as the scatter of
-        recordings and errors of the rate, is kept in quadrature.
-
-        by (p,): half widths that include the choice of the model, the span of Kc and errors of the deflection. sampling
-        (p,): the part to be replaced.
-        """
-        known = np.isfinite(sampling)
-        squares = np.subtract(self.half_width**2, sampling**2, out=np.zeros_like(sampling), where=known)
-        rest = np.sqrt(np.maximum(squares, 0.0))
-        return replace(self, half_width=np.where(by == sampling, self.half_width, np.hypot(by, rest)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from hil.identification.fitting.confidence import ConfidenceIntervals
 from hil.identification.fitting.solution import Solution
 from hil.identification.fitting.unloaded import Span
 from hil.identification.misfit.outcome import LackOfFit
+from hil.identification.mixture.width import Width
 from hil.identification.result import Conditional, Estimate, Repeatability, Validation, VarianceComponents, interval
 from hil.identification.verdict.criteria import distinguishable, friction_likeness, narrow
 from hil.signals import constants as c
@@ -39,6 +40,7 @@ class Evidence:
     - solution: the result of the search and the exact optimum.
     - values (p + q,): the parameters, SI.
     - errors: the confidence intervals of the values.
+    - widths: what the half intervals of `errors` consist of.
     - exact: values and half intervals of the selected model alone; `values` and `errors` may be averages over models.
     - scattered: the variance components of pooled recordings.
     - unbounded: the values without sign constraints, and their half intervals; None if no constraint acts.
@@ -58,6 +60,7 @@ class Evidence:
     scattered: tuple[VarianceComponents | None, ...]
     holdout: Validation
     exact: tuple[Array, Array]
+    widths: tuple[Width, ...] = ()
     unbounded: tuple[Array, Array] | None = None
     deflection: DeflectionErrors | None = None
     unmoved: str = ""
@@ -232,6 +235,7 @@ def estimates(evidence: Evidence) -> tuple[Estimate, ...]:
                 depends_on=(span[2] or None) if span and parameter.name == "Kc" else None,
                 positive=parameter.positive,
                 correlation=dict(zip(evidence.names, evidence.errors.correlation[at].tolist(), strict=True)),
+                widths={one.source: float(one.half[at]) for one in evidence.widths if one.half[at]},
             )
         )
     return tuple(found)
@@ -262,4 +266,5 @@ def _wider(one: Estimate, lack: float, *, is_said: bool) -> Estimate:
     if not more:
         return one
     known = one.identifiable and (is_said or narrow(half + more, one.value))
-    return replace(one, ci95=interval(one.value, half + more, positive=one.positive), identifiable=known)
+    ends, widths = interval(one.value, half + more, positive=one.positive), {**one.widths, "misfit of the model": more}
+    return replace(one, ci95=ends, identifiable=known, widths=widths)

@@ -209,10 +209,8 @@ def _filtered(even: Array, low_pass: LowPass, kernels: int) -> Array:
 
 
 def _fast_size(least: int) -> int:
-    """Return the smallest size of at least `least` that is a power of two times 1, 9/8, 5/4, 3/2 or 15/8: its transform
-    is fast.
-    """
-    return min(eighths << max((-(-least // eighths) - 1).bit_length(), 0) for eighths in (8, 9, 10, 12, 15))
+    """Return the smallest size of at least `least` whose transform is fast: a power of two, or three times one."""
+    return min(odd << max((-(-least // odd) - 1).bit_length(), 0) for odd in (1, 3))
 
 
 def _is_even(time: Array, low_pass: LowPass) -> bool:
