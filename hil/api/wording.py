@@ -1,23 +1,22 @@
-"""Messages of hil in the words of Python: the option `--model linear` of a command is the argument model="linear" here.
+"""Messages of hil in the words of Python: the option `--model` of a command is the argument `model` here.
 
 An error that neither the request nor the data explains becomes an InternalError.
 
-A remedy is written once, with the options of the command line. In Python the same remedy is read as the options that it
-names, and each option that a function of `import hil` has as an argument is written as that argument: with its value as
-model="linear", without one as `model`. An option that prints something is an attribute of the result in Python.
+A remedy is written once, with the options of the command line. The name of an option is a placeholder: a command prints
+it, the page of `hil studio` writes its field, and this module writes the argument of `import hil`. Values stay as they
+are. An option that prints something is an attribute of the result in Python.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
 from functools import cache, wraps
 from traceback import walk_tb
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from drivers.servo import DriverError
@@ -26,10 +25,14 @@ from hil.diagnostics import Diagnostic
 from hil.errors import InternalError, Untrustworthy, WrongUse, is_shortage
 
 _ON_THE_COMMAND_LINE = ContextVar("on_the_command_line", default=False)
-_OTHER_NAMES = {"from": "start", "to": "end", "backend": "stand"}
+_OTHER_NAMES = {"from": "`start`", "to": "`end`", "backend": "`stand`"}
 _OF_A_RESULT = {"report": "`result.report(path)`", "verbose": "`result.dynamic_stiffness`"}
+_WORD = r"[^\s,;`()]*[^\s,;:`()]"
+_OPTION = re.compile(
+    rf"\bhil [a-z]+(?: (?![a-z]+ ){_WORD})*? --{_WORD}(?: {_WORD})*|(?<![\w-])--([a-z][a-z-]*[a-z])(?!\w)"
+)
+"""A command of hil with its words, or an option: its name is the group."""
 _PACKAGES = frozenset({"hil", "ga", "drivers", "sim_backend"})
-_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
@@ -60,7 +63,7 @@ def worded(function: _Function) -> _Function:
             return function(*arguments, **named)
         except Exception as error:
             if len(error.args) == 1 and isinstance(error.args[0], str):
-                error.args = (in_python(error.args[0], inspect.signature(function).parameters),)
+                error.args = (in_python(error.args[0]),)
             if not _ON_THE_COMMAND_LINE.get() and _is_internal(error, (*arguments, *named.values())):
                 said = f"{type(error).__name__}: {error}; this is a fault in hil itself: report it with this traceback"
                 raise InternalError(said) from error
@@ -93,96 +96,26 @@ def diagnostics_in_python(found: tuple[Diagnostic, ...]) -> tuple[Diagnostic, ..
     return tuple(replace(one, message=in_python(one.message)) for one in found)
 
 
-def in_python(message: str, own: Mapping[str, inspect.Parameter] = MappingProxyType({})) -> str:
+def in_python(message: str) -> str:
     """Return a message with the options that it names as arguments; unchanged on the command line.
 
-    own: further parameters of the called function, besides those of the functions that record and identify. An option
-    that is no argument, and a command with other words than such options, are left as they are.
+    An option that is no argument is left as it is, and so is a command of hil with its options.
     """
     if "--" not in message or _ON_THE_COMMAND_LINE.get():
         return message
-    known = {**_arguments(), **own}
-    option, commands = _grammar()
-
-    def written(found: re.Match[str]) -> str:
-        if found["command"] is None:
-            given = [_argument(one, known, "`{}`") for one in option.finditer(found["alone"])]
-            return found[0] if None in given else ", ".join(map(str, given))
-        given = [_argument(one, known, "{}=...") for one in option.finditer(found["options"])]
-        as_call = not found["words"] and None not in given and found["command"] in ("identify", "compare", "record")
-        return f"hil.{found['command']}(..., {', '.join(map(str, given))})" if as_call else found[0]
-
-    return commands.sub(written, message)
-
-
-def _argument(found: re.Match[str], known: Mapping[str, inspect.Parameter], alone: str) -> str | None:
-    """Return an option, and its value if the message states one, as an argument; None if it is none of `known`.
-
-    alone: how an argument without a value is written.
-    """
-    option, value = found[1], found[2]
-    name = option.replace("-", "_")
-    name = _OTHER_NAMES.get(name, name)
-    if name.startswith("no_") and name[3:] in known and known[name[3:]].default is True:
-        return f"{name[3:]}=False"
-    if name not in known:
-        return _OF_A_RESULT.get(name)
-    if known[name].default is False:
-        return f"{name}=True"
-    is_pair = "tuple[float, float]" in str(known[name].annotation)
-    return f"{name}={_value(value, is_pair=is_pair)}" if value else alone.format(name)
-
-
-def _value(text: str, *, is_pair: bool) -> str:
-    """Return the value of an option as Python writes it: a number, a pair of numbers, a dictionary or texts.
-
-    is_pair: whether one number stands for a pair of equal numbers, as in `--band 2`.
-    """
-    if re.fullmatch(_NUMBER, text):
-        return f"({text}, {text})" if is_pair else text
-    if text.startswith("'"):
-        return text
-    name, equals, span = text.rpartition("=")
-    if ":" in span and ".py:" not in span:
-        pair = f"({', '.join(span.split(':'))})"
-        return f'{{"{name}": {pair}}}' if equals else pair
-    return re.sub(r"(?<!\S)(?!or )[^\s,]+", r'"\g<0>"', text)
+    return _OPTION.sub(lambda found: _arguments().get(found[1], found[0]), message)
 
 
 @cache
-def _grammar() -> tuple[re.Pattern[str], re.Pattern[str]]:
-    """Return two regular expressions: for an option with its value, and for options alone or in a command of hil.
+def _arguments() -> dict[str, str]:
+    """Return how Python writes each option that it has: those of the functions that record, identify and measure."""
+    from hil import compare, design, hysteresis, identify, record
 
-    A value is a number, a range, a quoted text, a file, a name that an option takes or several of them ("dahl or
-    boucwen"), or a word before a colon ("--model x: unknown"). Any other word belongs to the sentence.
-    """
-    from drivers.servo import Quantity
-    from ga.evolution.evolution import PRESETS
-    from ga.model.terms import TERMS
-    from hil.acquisition.excitation import EXCITATIONS
-
-    names = "|".join(sorted({"auto", "sim", *TERMS, *PRESETS, *EXCITATIONS, *Quantity}, key=len, reverse=True))
-    name = rf"(?:{names})(?:\+(?:{names}))*(?!\w)"
-    values = (
-        r"'[^']*'",
-        rf"\w+=(?:{_NUMBER}:{_NUMBER}|LOW:HIGH)",
-        rf"{_NUMBER}(?::{_NUMBER})?(?![\w.]*\w)",
-        r"[\w/]+\.(?:py:\w+|toml|csv|h5)",
-        r"[A-Z]{3,}",
-        rf"{name}(?:(?:, | or ){name})*",
-        r"[^\s:,;]+(?=: |\Z)",
-    )
-    option = rf"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])(?: ({'|'.join(values)}))?"
-    plain = option.replace("([a-z][a-z-]*[a-z])", "[a-z][a-z-]*[a-z]").replace("(?: (", "(?: (?:").replace("|\\Z", "")
-    alone = rf"(?P<alone>{plain}(?: {plain})*)"
-    command = rf"\bhil (?P<command>[a-z]+)(?P<words>(?: [^\s,;:`()-][^\s,;:`()]*)*)(?P<options>(?: {plain})+)"
-    return re.compile(option), re.compile(f"{command}|{alone}")
-
-
-@cache
-def _arguments() -> dict[str, inspect.Parameter]:
-    """Return the arguments of the functions that record and identify, by name."""
-    from hil import compare, design, identify, record
-
-    functions = (identify, compare, design, record)
-    return {one.name: one for each in functions for one in inspect.signature(each).parameters.values()}
+    functions = (identify, compare, design, hysteresis, record)
+    written = dict(_OF_A_RESULT | _OTHER_NAMES)
+    for one in (one for each in functions for one in inspect.signature(each).parameters.values()):
+        option = one.name.replace("_", "-")
+        written[option] = f"`{one.name}=True`" if one.default is False else f"`{one.name}`"
+        if one.default is True:
+            written[f"no-{option}"] = f"`{one.name}=False`"
+    return written

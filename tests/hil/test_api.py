@@ -80,7 +80,7 @@ def test_the_command_has_the_unit_of_its_mode(tmp_path: Path) -> None:
     for mode, unit in (("torque", "N*m"), ("position", "rad")):
         run = api.simulate(tmp_path / f"{mode}.h5", mode=mode, duration=1.0, fade=0.2)
         assert run.load().units["command"] == unit
-    with pytest.raises(api.WrongUse, match=r"^mode='speed': it is torque or position"):
+    with pytest.raises(api.WrongUse, match=r"^`mode` 'speed': it is torque or position"):
         api.simulate(tmp_path / "c.h5", mode="speed")
 
 
@@ -100,16 +100,17 @@ def test_statistics_of_a_recording_leave_lost_rows_out(make_recording: Maker) ->
 @pytest.mark.parametrize(
     ("message", "said"),
     [
-        ("unknown --preset 'x'", "unknown preset='x'"),
-        ("try --model linear+skew or dahl, or", 'try model="linear+skew" or "dahl", or'),
+        ("unknown --preset 'x'", "unknown `preset` 'x'"),
+        ("try --model linear+skew or dahl, or", "try `model` linear+skew or dahl, or"),
         ("name a --model without skew", "name a `model` without skew"),
-        ("write --bounds Kc=0.01:5: or", 'write bounds={"Kc": (0.01, 5)}: or'),
-        ("(--mode torque --profile chirp)", '(mode="torque", profile="chirp")'),
-        ("from --from to --to, --band 0.1:15 or --band 2", "from `start` to `end`, band=(0.1, 15) or band=(2, 2)"),
-        ("--model x+y: unknown; faults are of --backend sim", 'model="x+y": unknown; faults are of stand="sim"'),
-        ("see --report; hil identify --model", "see `result.report(path)`; hil.identify(..., model=...)"),
-        ("hil record --no-guardian goes without it", "hil.record(..., guardian=False) goes without it"),
-        ("`hil record --force` replaces it", "`hil.record(..., force=True)` replaces it"),
+        ("outside --bounds Kc=0.01:5: or", "outside `bounds` Kc=0.01:5: or"),
+        ("from --from to --to, --band 0.1:15", "from `start` to `end`, `band` 0.1:15"),
+        ("(--mode torque --profile chirp)", "(`mode` torque `profile` chirp)"),
+        ("faults are of --backend sim; --torque-unit", "faults are of `stand` sim; `torque_unit`"),
+        ("see --report, or --verbose", "see `result.report(path)`, or `result.dynamic_stiffness`"),
+        ("add --realtime, or use --no-guardian", "add `realtime=True`, or use `guardian=False`"),
+        ("`hil record --force` replaces it", None),
+        ("hil inspect measures --torque-noise", "hil inspect measures `torque_noise`"),
         ("run hil doctor --move, or hil identify a.h5 --model auto", None),
         ("import the table with --torque-scale -1", None),
     ],
