@@ -1,7 +1,7 @@
 """The safety gate of a servo: it checks every command, and requests torque-off until the device confirms it.
 
 Every servo holds one `Gate` and gives it two functions of its own protocol: one that requests torque-off, and one that
-closes the link. The rules of the gate:
+closes the link. `DriveServo` is a servo with its gate, for a family of drives to complete. The rules of the gate:
 
 * A command is sent only while the servo is armed, if the servo supports its quantity, and if its value is finite. The
   value is clamped to the armed limits. Finiteness is checked before any clamp: `max(low, min(high, nan))` is full
@@ -17,12 +17,25 @@ from __future__ import annotations
 
 import contextlib
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 from drivers.clock import Clock, MonotonicClock, waits_end_by
 from drivers.retry import Repeats
-from drivers.servo import Command, DriverError, Limits, LinkLost, NoReply, Quantity, UnsafeCommand
+from drivers.servo import (
+    Command,
+    DriverError,
+    Limits,
+    LinkLost,
+    NoReply,
+    Quantity,
+    Sample,
+    ServoInfo,
+    Status,
+    UnsafeCommand,
+)
+from drivers.settings import Settings
 
 _REQUESTS = 3
 """How many times one call of `Gate.disarm` requests torque-off."""
@@ -213,6 +226,103 @@ class Gate:
         finally:
             self._closed = True
             self._release()
+
+
+_STATUS = ((Status(0), Status.SATURATED), (Status.STALE, Status.STALE | Status.SATURATED))
+
+
+class DriveServo(ABC):
+    """A `drivers.servo.Servo` behind its gate: what is the same in all families of drives.
+
+    A family opens and identifies its drive in `__init__`, makes `_gate`, sets `info`, and implements `_arm` and
+    `_exchange`. sign: 1 if the drive's positive direction is the stand's, else -1. clock: None for the real clock.
+
+    _settings: the settings of the drive that a run changes and `close` restores; None if there are none.
+    """
+
+    info: ServoInfo
+    _gate: Gate
+    _settings: Settings[Any, Any] | None = None
+
+    def __init__(self, sign: int, clock: Clock | None) -> None:
+        self.clock: Clock = clock or MonotonicClock()
+        self._sign = sign
+
+    def arm(self, limits: Limits) -> None:
+        """Write the limits into the drive and enable it at zero torque, or at its present position; see `_arm`.
+
+        Raises DeviceFault if a fault is latched, DriverError if the drive refuses a value or a limit is below one
+        count; the torque is off then.
+        """
+        with self._gate.arming(limits):
+            self._arm(limits)
+
+    def exchange(self, command: Command) -> Sample:
+        """Send the set-point and read the state in one round trip; see `_exchange`.
+
+        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the drive reports a fault, has stopped by
+        itself or has restarted.
+        """
+        return self._exchange(self._gate.admit(command))
+
+    def disarm(self) -> None:
+        """Switch the torque off. Raises DriverError if the drive does not confirm it."""
+        self._gate.disarm()
+
+    def close(self) -> None:
+        """Switch the torque off, restore the settings, and close the link. Never raises DriverError."""
+        self._gate.close(self._restore)
+
+    def fall_silent(self) -> None:
+        """See `Gate.fall_silent`."""
+        self._gate.fall_silent()
+
+    def keep_journal(self, journal: Callable[[], None]) -> None:
+        """See `drivers.off_path.HasJournal`."""
+        if self._settings is not None:
+            self._settings.journal = journal
+
+    @abstractmethod
+    def _arm(self, limits: Limits) -> None:
+        """Enable the drive, whose torque may be on. If this raises, torque-off is requested."""
+
+    @abstractmethod
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send an admitted set-point, if there is any, and return the state."""
+
+    def _restore(self) -> None:
+        if self._settings is not None:
+            self._settings.restore()
+
+    def _sample(
+        self,
+        times: tuple[float, float],
+        position: float,
+        velocity: float,
+        torque: float | None,
+        *,
+        temperature: float = math.nan,
+        voltage: float = math.nan,
+        saturated: bool = False,
+        stale: bool = False,
+    ) -> Sample:
+        """Return the checked readings of one reply as a sample. Raises BadReply if they are damaged.
+
+        times: s, of the request and of the end of the reply. position rad, velocity rad/s, torque N m: in the drive's
+        own direction; torque None if the drive measures none. saturated, stale: the flags of `Status`.
+        """
+        self.info.check_readings(position, velocity, 0.0 if torque is None else torque)
+        sign = self._sign
+        return Sample(
+            t=times[0],
+            t_read=0.5 * (times[0] + times[1]),
+            motor_position=sign * position,
+            motor_velocity=sign * velocity,
+            motor_torque=math.nan if torque is None else sign * torque,
+            temperature=temperature,
+            voltage=voltage,
+            status=_STATUS[stale][saturated],
+        )
 
 
 @runtime_checkable

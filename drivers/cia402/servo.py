@@ -19,13 +19,11 @@ from drivers.cia402.config import Cia402Config
 from drivers.cia402.node import TPDO1, TPDO2, Node
 from drivers.cia402.scan import neighbours
 from drivers.cia402.states import ENABLE, LIMITING, DriveState, state_of
-from drivers.clock import Clock, MonotonicClock
-from drivers.gate import to_counts
-from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
+from drivers.clock import Clock
+from drivers.gate import Admitted, DriveServo, to_counts
+from drivers.servo import BadReply, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import can
 
     from drivers.neighbours import Neighbour
@@ -37,7 +35,7 @@ _EVERY = 16
 _LARGEST = 32767
 
 
-class Cia402Servo:
+class Cia402Servo(DriveServo):
     """One drive that is open and identified, with its PDOs mapped and its torque off.
 
     clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN,
@@ -46,10 +44,11 @@ class Cia402Servo:
     """
 
     def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
-        self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._node = Node(config, self._link, self.clock)
+        self._settings = self._node.objects.settings
         self._ticks = self._most = 0
         self._temperature = self._voltage = math.nan
         quantities = frozenset({Quantity.TORQUE})
@@ -73,29 +72,23 @@ class Cia402Servo:
             watchdog_remedy="set cia402.watchdog = 0.1",
         )
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write the limits into the drive and read them back, then enable the drive in torque mode at zero torque.
 
-        From then on the drive watches our heartbeat. A latched fault "heartbeat lost" is cleared. Raises DeviceFault if
-        another fault is latched, DriverError if the drive refuses a limit or is not enabled. The torque is off after an
-        error.
+        From then on the drive watches our heartbeat. A latched fault "heartbeat lost" is cleared.
         """
         self._most = min(_LARGEST, math.floor(limits.torque / self._scale.torque * (1.0 + 1e-9)))
-        with self._gate.arming(limits):
-            self._node.stop()
-            if self._node.away:
-                self._node.prepare()
-            self._node.clear_faults()
-            self._node.limit(limits, self._scale)
-            self._node.enable()
+        self._node.stop()
+        if self._node.away:
+            self._node.prepare()
+        self._node.clear_faults()
+        self._node.limit(limits, self._scale)
+        self._node.enable()
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read position, velocity and torque in one round trip.
-
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the drive is in fault, has restarted, or
-        has left the state OPERATION ENABLED.
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read position, velocity and torque. Raises DeviceFault if the drive has left the state
+        OPERATION ENABLED.
         """
-        admitted = self._gate.admit(command)
         if not self._gate.armed and self._node.away:
             if self._gate.live:  # preparing it would change what its torque does
                 return self._read_objects()
@@ -113,22 +106,7 @@ class Cia402Servo:
             if self._gate.armed and self._node.away:
                 raise self._node.fault_in(DriveState.UNKNOWN) from None
             raise
-        received = self.clock.now()
-        return self._sample(replies["tpdo1"], replies["tpdo2"], sent, received, saturated=admitted.clipped)
-
-    def disarm(self) -> None:
-        """Set zero torque and disable voltage until the drive confirms it. Raises DriverError if the drive does not
-        confirm it.
-        """
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Switch the torque off, restore the objects, and close the bus. Never raises DriverError."""
-        self._gate.close(self._node.restore)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
+        return self._decoded(replies["tpdo1"], replies["tpdo2"], (sent, self.clock.now()), saturated=admitted.clipped)
 
     def neighbours(self) -> list[Neighbour]:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -138,11 +116,11 @@ class Cia402Servo:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._node.off_frames(), self._node.restoring())
 
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._node.objects.settings.journal = journal
+    def _restore(self) -> None:
+        self._node.restore()
 
     def _torque_off(self, request: int) -> None:
+        """Set zero torque and disable voltage."""
         self._node.stop(wake=request > 0)
         with contextlib.suppress(DriverError):  # a drive that still expects our heartbeat latches a fault
             self._node.release()
@@ -174,20 +152,11 @@ class Cia402Servo:
     def _read_objects(self) -> Sample:
         """Read position, velocity and torque by SDO, for a drive whose PDOs are off."""
         sent = self.clock.now()
-        position, velocity, torque = self._node.state()
-        sign, scale = self._config.sign, self._scale
-        self.info.check_readings(position * scale.position, velocity * scale.velocity, torque * scale.torque)
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + self.clock.now()),
-            motor_position=sign * position * scale.position,
-            motor_velocity=sign * velocity * scale.velocity,
-            motor_torque=sign * torque * scale.torque,
-            temperature=self._temperature,
-            voltage=self._voltage,
-        )
+        counts = self._node.state()
+        return self._scaled(counts, (sent, self.clock.now()))
 
-    def _sample(self, first: bytes, second: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
+    def _decoded(self, first: bytes, second: bytes, times: tuple[float, float], *, saturated: bool) -> Sample:
+        """Return the sample that both PDOs hold. Raises BadReply, and DeviceFault if an armed drive is not enabled."""
         if len(first) != TPDO1.size or len(second) != TPDO2.size:
             raise BadReply("a PDO has the wrong length: the sample is dropped")
         statusword, position, torque = TPDO1.unpack(first)
@@ -195,16 +164,18 @@ class Cia402Servo:
         state = state_of(statusword)
         if self._gate.armed and (state is not DriveState.ENABLED or self._node.away):
             raise self._node.fault_in(state)
-        sign, scale = self._config.sign, self._scale
-        self.info.check_readings(position * scale.position, velocity * scale.velocity, torque * scale.torque)
         limiting = saturated or bool(self._gate.armed and statusword & LIMITING)
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * position * scale.position,
-            motor_velocity=sign * velocity * scale.velocity,
-            motor_torque=sign * torque * scale.torque,
+        return self._scaled((position, velocity, torque), times, saturated=limiting)
+
+    def _scaled(self, counts: tuple[int, int, int], times: tuple[float, float], *, saturated: bool = False) -> Sample:
+        """Return the sample of position, velocity and torque in counts."""
+        scale = self._scale
+        return self._sample(
+            times,
+            counts[0] * scale.position,
+            counts[1] * scale.velocity,
+            counts[2] * scale.torque,
             temperature=self._temperature,
             voltage=self._voltage,
-            status=Status.SATURATED if limiting else Status(0),
+            saturated=saturated,
         )

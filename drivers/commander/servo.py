@@ -10,24 +10,13 @@ import contextlib
 import math
 from typing import TYPE_CHECKING
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock
 from drivers.commander.lines import DECIMALS, RESOLUTION, CommanderState, number, same, state, target
 from drivers.commander.link import CommanderLink, shown
-from drivers.gate import Gate
+from drivers.gate import Admitted, DriveServo, Gate
 from drivers.off_path import OffPath
 from drivers.retry import retry
-from drivers.servo import (
-    BadReply,
-    Command,
-    DeviceFault,
-    DriverError,
-    Limits,
-    NoReply,
-    Quantity,
-    Sample,
-    ServoInfo,
-    Status,
-)
+from drivers.servo import BadReply, DeviceFault, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo
 from drivers.torque_constant import check_current
 from drivers.uart.port import GONE, OpenPort, open_port
 
@@ -45,7 +34,7 @@ _STARTED = "Verb:"  # begins the reply in the verbose mode of a start
 _MODES = {"dc_current": ("1", "dc curr"), "foc_current": ("2", "foc curr")}
 
 
-class CommanderServo:
+class CommanderServo(DriveServo):
     """One motor that is open, identified and disabled.
 
     clock, port: given by tests; None uses the real clock and opens the port of `config`. In `info` the counts and the
@@ -54,9 +43,9 @@ class CommanderServo:
     """
 
     def __init__(self, config: CommanderConfig, *, clock: Clock | None = None, port: OpenPort | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
         self._m = config.motor
-        self.clock: Clock = clock or MonotonicClock()
         self._ceiling = 0.0
         self._count = 0
         self._unsure = False
@@ -84,12 +73,12 @@ class CommanderServo:
             "commander.watchdog",
         )
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Set torque mode and limits and read them back, then enable the motor at a target of zero.
 
         The current limit is the torque limit. Before library 2.4 the board does not apply the current limit to a target
         in torque mode, so the target is clamped here. The board applies the velocity limit only in its velocity and
-        angle modes. Raises DriverError if the board refuses a setting; the motor is disabled then.
+        angle modes.
         """
         current = limits.torque / self._config.torque_constant
         if current < RESOLUTION:
@@ -97,29 +86,23 @@ class CommanderServo:
                 f"torque limit {limits.torque:.3g} N m is {current:.3g} A, below the resolution of a target: raise it"
             )
         mode, confirmed = _MODES[self._config.torque_mode]
-        with self._gate.arming(limits):
-            self._set("E0", "E", "0")  # first: a target means something else in every mode
-            self._prepare()
-            self._stop_printing()
-            own = number(self._link.ask(f"{self._m}LC", f"{self._m}LC"))
-            if own:
-                key = "commander.torque_constant"
-                check_current(key, self._config.torque_constant, limits.torque, own, f"{self._m}LC of the board")
-            self._set("C0", "C", "torque")
-            self._set(f"T{mode}", "T", confirmed)
-            self._limit("LC", current, "current")
-            self._limit("LV", limits.velocity, "velocity")
-            self._link.exchange([f"{self._m}0"], self._is_zero, "the target of zero")
-            self._set("E1", "E", "1")
+        self._set("E0", "E", "0")  # first: a target means something else in every mode
+        self._prepare()
+        self._stop_printing()
+        own = number(self._link.ask(f"{self._m}LC", f"{self._m}LC"))
+        if own:
+            key = "commander.torque_constant"
+            check_current(key, self._config.torque_constant, limits.torque, own, f"{self._m}LC of the board")
+        self._set("C0", "C", "torque")
+        self._set(f"T{mode}", "T", confirmed)
+        self._limit("LC", current, "current")
+        self._limit("LV", limits.velocity, "velocity")
+        self._link.exchange([f"{self._m}0"], self._is_zero, "the target of zero")
+        self._set("E1", "E", "1")
         self._ceiling = current
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the target and read the state in one round trip.
-
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the board has restarted or has disabled
-        the motor by itself.
-        """
-        admitted = self._gate.admit(command)
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the target and read the state."""
         text = None if admitted.command is None else self._target(admitted.command.value)
         if self._unsure and self._gate.armed:
             self._raise_restarted()
@@ -130,30 +113,10 @@ class CommanderServo:
         received = self.clock.now()
         self._unsure = False
         self._check_enabled(enabled)
-        sign, constant = self._config.sign, self._config.torque_constant
-        self.info.check_readings(reply.angle, reply.velocity, reply.current * constant)
         # of a disabled motor the board repeats the last current; none flows, unless its word is not to be trusted yet
-        current = reply.current if enabled == "1" else math.nan if self._gate.live else 0.0
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * reply.angle,
-            motor_velocity=sign * reply.velocity,
-            motor_torque=sign * current * constant,
-            status=Status.SATURATED if admitted.clipped else Status(0),
-        )
-
-    def disarm(self) -> None:
-        """Disable the motor and set its target to zero. Raises DriverError if the drive does not confirm it."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Disable the motor and close the port. Never raises DriverError."""
-        self._gate.close()
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
+        current = reply.current if enabled == "1" else None if self._gate.live else 0.0
+        torque = None if current is None else current * self._config.torque_constant
+        return self._sample((sent, received), reply.angle, reply.velocity, torque, saturated=admitted.clipped)
 
     def off_path(self) -> OffPath:
         """Return the lines that switch the torque off, for another process to send.

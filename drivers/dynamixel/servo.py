@@ -6,34 +6,28 @@ that holds all measurements. The modules `x` and `mx` hold the differences betwe
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Mapping
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock
 from drivers.dynamixel.config import DynamixelConfig
 from drivers.dynamixel.identity import RETURN_DELAY_LSB, identify, neighbours
 from drivers.dynamixel.models import POSITION_LSB, TURN, DynamixelModel, models
 from drivers.dynamixel.mx import MxSeries
 from drivers.dynamixel.series import Series
 from drivers.dynamixel.x import XSeries
-from drivers.gate import Admitted, Gate, below_one_count, to_counts
+from drivers.gate import Admitted, below_one_count, to_counts
 from drivers.neighbours import Neighbour
-from drivers.off_path import OffPath
 from drivers.overload import Overload
-from drivers.packets.bus import Bus
-from drivers.packets.control_table import ControlTable
-from drivers.packets.hand import HandBus
-from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
-from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.packets.servo import RegisterServo
+from drivers.servo import BadReply, DriverError, Limits, Quantity, Sample, ServoInfo
 from drivers.tick import Freshness, TickClock
 
 _LATE = 0.02  # s before the watchdog trips; a later tick checks whether it has
 _TRIES = 3
 
 
-class DynamixelServo:
+class DynamixelServo(RegisterServo):
     """One servo that is open and identified, with its torque off.
 
     clock, port: given by tests; None uses the real clock and opens the port of `config`. info.torque_uncertainty is NaN
@@ -46,30 +40,28 @@ class DynamixelServo:
         self._model: DynamixelModel = models()[config.model]
         self._mode = config.effective_mode
         self._constant = config.torque_constant or self._model.torque_constant
-        self.clock: Clock = clock or MonotonicClock()
-        self._port = port or SerialPort(config.port, config.baudrate, self.clock)
         kind = XSeries if self._model.protocol == 2 else MxSeries
         self._series: Series = kind(self._model, config, self._torque_lsb)
-        self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, self._series.wire)
-        self._table = ControlTable(self._bus, self._series.registers, self._series.eeprom_end)
-        torque, position = (self._series.registers[name] for name in ("torque_enable", "present_position"))
-        place = (position.address, position.size)
-        self._hand = HandBus(self._bus, config.id, torque=torque, position=place, counts=position.decoded, turn=TURN)
+        self._off, self._zero_after = self._series.off, self._series.zero_after_off
         self._tick = TickClock()
         self._impossible = 0
         self._ceiling = 0
         self._last_request = -math.inf
         quantity = Quantity.TORQUE if self._mode == "current" else Quantity.POSITION
-        self._gate = Gate(
-            config.port,
-            frozenset({quantity}),
-            torque_off=self._torque_off,
-            release=self._port.closePort,
-            clock=self.clock,
-            repeats=self._bus.repeats,
+        position = self._series.registers["present_position"]
+        super().__init__(
+            config,
+            clock,
+            port,
+            quantity=quantity,
             mode_key="dynamixel.mode",
+            wire=self._series.wire,
+            registers=self._series.registers,
+            eeprom_end=self._series.eeprom_end,
+            position=(position.address, position.size),
+            counts=position.decoded,
+            turn=TURN,
         )
-        self._port.openPort()
         with self._gate.opening(self._table.settings.restore):
             firmware = identify(self._bus, self._table, config, self._series)
             self.disarm()
@@ -78,29 +70,24 @@ class DynamixelServo:
             self._series.choose_mode(self._table)
         self.info = self._describe(firmware, quantity)
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write mode, limits and watchdog into the servo, read them back, and switch the torque on at zero current.
 
         In the position modes the servo then holds its position. The limits of torque, temperature and velocity are
-        written to the servo's registers, each no higher than the model's own limit. Raises DeviceFault if a fault is
-        latched, DriverError if the servo refuses a value; the torque is off then.
+        written to the servo's registers, each no higher than the model's own limit.
         """
         self._ceiling = ceiling = self._torque_counts(limits)
-        with self._gate.arming(limits):
-            self._series.raise_latched(self._bus, self._table)
-            self._table.settings.require("torque_enable", 0)
-            self._series.prepare(self._table, limits, ceiling)
-            self._hand.begin(self._table.get("present_position"))
-            self._enable(ceiling)
+        self._series.raise_latched(self._bus, self._table)
+        self._table.settings.require("torque_enable", 0)
+        self._series.prepare(self._table, limits, ceiling)
+        self._hand.begin(self._table.get("present_position"))
+        self._enable(ceiling)
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state in one round trip.
-
-        In a position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
-        NoReply, BadReply, LinkLost, and DeviceFault if the servo has latched a fault, has restarted, or its watchdog
-        has tripped.
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read the state. In a position mode nothing is written for `Command.rest()`: the servo
+        holds its position. Raises DeviceFault also if the watchdog has tripped.
         """
-        goal, saturated = self._goal(self._gate.admit(command))
+        goal, saturated = self._goal(admitted)
         sent = self.clock.now()
         if self._gate.armed and 0.0 < self._config.watchdog < sent - self._last_request + _LATE:
             self._look_for_faults()
@@ -111,22 +98,10 @@ class DynamixelServo:
         self._last_request = sent
         if self._bus.alert:
             self._look_for_faults()
-        sample = self._sample(raw, sent, received, saturated=saturated)
+        sample = self._decoded(raw, sent, received, saturated=saturated)
         if self._hand.watches and self._gate.armed:
             self._hand.look(round(sample.motor_position / POSITION_LSB))
         return sample
-
-    def disarm(self) -> None:
-        """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Switch the torque off, restore the EEPROM, and close the port. Never raises DriverError."""
-        self._gate.close(self._table.settings.restore)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
 
     def neighbours(self) -> list[Neighbour]:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -137,44 +112,14 @@ class DynamixelServo:
         del limits
         return self._series.overload(self._table)
 
-    def join_hand(self, joints: Mapping[str, int]) -> None:
-        """See `drivers.neighbours.JoinsHand`."""
-        self._hand.join(joints)
-
     def slower(self) -> tuple[float, float]:
         """See `drivers.neighbours.SeesNeighbours`."""
         return self._hand.slower(len(self._bus.unanswered(*self._series.goal(0, 0)[:2])))
 
-    def turned(self) -> dict[str, float]:
-        """See `drivers.neighbours.SeesNeighbours`."""
-        return self._hand.turned(POSITION_LSB)
-
-    def off_path(self) -> OffPath:
-        """Return the frames that switch the torque off, for another process to send."""
-        series, beside = self._series, self._hand.neighbours
-        return off_path(self._port, self._table, series.off, zero_after=series.zero_after_off, neighbours=beside)
-
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._table.settings.journal = journal
-
-    def _torque_off(self, _request: int) -> None:
-        self._hand.switch_off(self._switch_off)
-        with contextlib.suppress(DriverError):
-            for name in self._series.zero_after_off:
-                self._table.put(name, 0)
-
-    def _switch_off(self) -> None:
-        """Switch this servo off and read it back. Raises DriverError if it is not off."""
-        try:
-            self._table.put("torque_enable", 0)
-            if self._table.get("torque_enable"):
-                raise DriverError("it is still on")
-        except DriverError:
-            with contextlib.suppress(DriverError):  # a servo that cannot reply may still receive
-                for name in self._series.off:
-                    self._bus.send(self._table.registers[name].address, bytes(self._table.registers[name].size))
-            raise
+    def _confirm_off(self) -> None:
+        self._table.put("torque_enable", 0)
+        if self._table.get("torque_enable"):
+            raise DriverError("it is still on")
 
     def _describe(self, firmware: str, quantity: Quantity) -> ServoInfo:
         stated = self._config.torque_constant is not None
@@ -229,27 +174,21 @@ class DynamixelServo:
         address, data, written = self._series.goal(counts, self._ceiling)
         return (address, data), admitted.clipped or written != counts
 
-    def _sample(self, raw: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
+    def _decoded(self, raw: bytes, sent: float, received: float, *, saturated: bool) -> Sample:
         state = self._series.state(raw)
-        status = Status.SATURATED if saturated else Status(0)
-        if state.tick is not None:
-            freshness = self._tick.judge(state.tick, sent, received)
-            if freshness is Freshness.IMPOSSIBLE:
-                self._refuse_impossible()
-            if freshness is Freshness.STILL:
-                status |= Status.STALE
+        freshness = Freshness.FRESH if state.tick is None else self._tick.judge(state.tick, sent, received)
+        if freshness is Freshness.IMPOSSIBLE:
+            self._refuse_impossible()
         self._impossible = 0
-        sign, torque = self._config.sign, state.current * self._constant
-        self.info.check_readings(state.position, state.velocity, torque if self._model.current_lsb else 0.0)
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * state.position * POSITION_LSB,
-            motor_velocity=sign * state.velocity,
-            motor_torque=sign * torque,
+        return self._sample(
+            (sent, received),
+            state.position * POSITION_LSB,
+            state.velocity,
+            state.current * self._constant if self._model.current_lsb else None,
             temperature=state.temperature,
             voltage=state.voltage,
-            status=status,
+            saturated=saturated,
+            stale=freshness is Freshness.STILL,
         )
 
     def _refuse_impossible(self) -> None:

@@ -7,27 +7,21 @@ has a watchdog. During a run the EEPROM is locked, so that settings changed by t
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Callable, Mapping
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock
 from drivers.feetech.block import START, Block, FeetechState
 from drivers.feetech.config import FeetechConfig
 from drivers.feetech.faults import ALERTS, reported, restarted
 from drivers.feetech.identity import identify, neighbours
 from drivers.feetech.models import CURRENT_LSB, FeetechModel, models, registers
-from drivers.gate import Admitted, Gate, below_one_count, to_counts
+from drivers.gate import Admitted, below_one_count, to_counts
 from drivers.neighbours import Neighbour
-from drivers.off_path import OffPath
 from drivers.overload import Overload
-from drivers.packets.bus import Bus
-from drivers.packets.control_table import ControlTable
-from drivers.packets.hand import HandBus
-from drivers.packets.off_path import off_path
 from drivers.packets.port import SerialPort
+from drivers.packets.servo import RegisterServo
 from drivers.packets.wire import Wire1
-from drivers.servo import BadReply, Command, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo, Status
+from drivers.servo import BadReply, DriverError, Limits, NoReply, Quantity, Sample, ServoInfo
 
 _POSITION, _CURRENT = 0, 2  # Operating Mode(33)
 _FACTORY_TEMPERATURE = 70
@@ -39,7 +33,7 @@ _DELAY_LSB = 2e-6
 _EVERYTHING = 256  # an address above all: every setting is restored
 
 
-class FeetechServo:
+class FeetechServo(RegisterServo):
     """One servo that is open and identified, with its torque off.
 
     clock, port: given by tests; None uses the real clock and opens the port of `config`. info.torque_uncertainty is NaN
@@ -47,18 +41,15 @@ class FeetechServo:
     NoReply if no servo replies, BadReply if the replies cannot be decoded.
     """
 
+    _kept = ("torque_limit", "goal_torque")  # stay zero until the servo is powered up or armed again
+
     def __init__(self, config: FeetechConfig, *, clock: Clock | None = None, port: SerialPort | None = None) -> None:
         self._config = config
         self._model: FeetechModel = models()[config.model]
         self._registers = registers(self._model.family)
-        self.clock: Clock = clock or MonotonicClock()
-        self._port = port or SerialPort(config.port, config.baudrate, self.clock)
-        self._bus = Bus(self._port, config.id, self.clock, config.reply_timeout, Wire1(ALERTS))
-        self._table = ControlTable(self._bus, self._registers, _EVERYTHING)
+        # the switch is the last, since a goal that is written may switch the torque on
+        self._off = tuple(name for name in ("torque_limit", "goal_torque", "torque_enable") if name in self._registers)
         self._block = Block(self._model)
-        torque = self._registers["torque_enable"]
-        place, counts, turn = (START, 2), self._block.position, self._model.turn
-        self._hand = HandBus(self._bus, config.id, torque=torque, position=place, counts=counts, turn=turn)
         self._torque_mode = config.effective_mode == "torque"
         self._torque_lsb = CURRENT_LSB * config.constant
         self._ceiling = 0
@@ -68,44 +59,43 @@ class FeetechServo:
         self._doubtful = False
         self._last_reply = -math.inf
         quantity = Quantity.TORQUE if self._torque_mode else Quantity.POSITION
-        self._gate = Gate(
-            config.port,
-            frozenset({quantity}),
-            torque_off=self._torque_off,
-            release=self._port.closePort,
-            clock=self.clock,
-            repeats=self._bus.repeats,
+        super().__init__(
+            config,
+            clock,
+            port,
+            quantity=quantity,
             mode_key="feetech.mode",
+            wire=Wire1(ALERTS),
+            registers=self._registers,
+            eeprom_end=_EVERYTHING,
+            position=(START, 2),
+            counts=self._block.position,
+            turn=self._model.turn,
         )
-        self._port.openPort()
         with self._gate.opening(self._table.settings.restore):
             firmware = identify(self._bus, config)
             self.disarm()
             self._set_up()
         self.info = self._describe(firmware, quantity)
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write mode and limits into the servo, read them back, and switch the torque on at zero current.
 
         In position mode the servo then holds its position. The torque limit is rounded down. The limits of temperature
-        and velocity are written too; the temperature limit is no higher than the factory's. Raises DeviceFault if the
-        servo reports an error, DriverError if the servo refuses a value; the torque is off then.
+        and velocity are written too; the temperature limit is no higher than the factory's.
         """
         ceiling = self._torque_counts(limits)
-        with self._gate.arming(limits):
-            self._raise_reported()
-            self._switch(on=False)
-            self._prepare(limits, ceiling)
-            self._hand.begin(self._block.position(self._bus.read(START, 2)))
-            self._enable()
+        self._raise_reported()
+        self._switch(on=False)
+        self._prepare(limits, ceiling)
+        self._hand.begin(self._block.position(self._bus.read(START, 2)))
+        self._enable()
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state in one round trip.
-
-        In position mode nothing is written for `Command.rest()`: the servo holds its position. Raises UnsafeCommand,
-        NoReply, BadReply, LinkLost, and DeviceFault if the servo reports an error or has restarted.
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read the state. In position mode nothing is written for `Command.rest()`: the servo
+        holds its position.
         """
-        goal, saturated = self._goal(self._gate.admit(command))
+        goal, saturated = self._goal(admitted)
         if self._gate.armed and (self._doubtful or self.clock.now() - self._last_reply > _GAP):
             self._look_for_faults()
         sent = self.clock.now()
@@ -119,18 +109,10 @@ class FeetechServo:
         received = self._last_reply = self.clock.now()
         if self._bus.alert:
             raise reported(self._bus.alert)
-        sample = self._sample(self._block.state(raw), sent, received, saturated=saturated)
+        sample = self._checked(self._block.state(raw), (sent, received), saturated=saturated)
         if self._hand.watches and self._gate.armed:
             self._hand.look(self._position)
         return sample
-
-    def disarm(self) -> None:
-        """Switch the torque off and read it back. Raises DriverError if the drive does not confirm it."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Switch the torque off, restore the settings, and close the port. Never raises DriverError."""
-        self._gate.close(self._restore)
 
     def _restore(self) -> None:
         """Restore the settings that the run changed, but only if the torque is off: one of these settings is the torque
@@ -138,10 +120,6 @@ class FeetechServo:
         """
         if not self._gate.live:
             self._table.settings.restore()
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
 
     def neighbours(self) -> list[Neighbour]:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -159,49 +137,13 @@ class FeetechServo:
         )
         return Overload(0.01 * share * limits.torque, acts, f"set Overload Torque({number}) to 100")
 
-    def join_hand(self, joints: Mapping[str, int]) -> None:
-        """See `drivers.neighbours.JoinsHand`."""
-        self._hand.join(joints)
-
     def slower(self) -> tuple[float, float]:
         """See `drivers.neighbours.SeesNeighbours`."""
         goal = self._registers["goal_position"]
         return self._hand.slower(len(self._bus.unanswered(goal.address, bytes(goal.size))))
 
-    def turned(self) -> dict[str, float]:
-        """See `drivers.neighbours.SeesNeighbours`."""
-        return self._hand.turned(self._model.position_lsb)
-
-    def off_path(self) -> OffPath:
-        """Return the frames that switch the torque off, for another process to send.
-
-        The torque limit stays zero until the servo is powered up or armed again.
-        """
-        kept = ("torque_limit", "goal_torque")
-        return off_path(self._port, self._table, self._off, kept=kept, neighbours=self._hand.neighbours)
-
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._table.settings.journal = journal
-
-    @property
-    def _off(self) -> list[str]:
-        """Names of the registers to which zero is written to switch the torque off."""
-        # the switch is the last, since a goal that is written may switch the torque on
-        return [name for name in ("torque_limit", "goal_torque", "torque_enable") if name in self._registers]
-
-    def _torque_off(self, _request: int) -> None:
-        self._hand.switch_off(self._switch_off)
-
-    def _switch_off(self) -> None:
-        """Switch this servo off and read it back. Raises DriverError if it is not off."""
-        try:
-            self._switch(on=False)
-        except DriverError:
-            with contextlib.suppress(DriverError):  # a servo that cannot reply may still receive
-                for name in self._off:
-                    self._bus.send(self._registers[name].address, bytes(self._registers[name].size))
-            raise
+    def _confirm_off(self) -> None:
+        self._switch(on=False)
 
     def _switch(self, *, on: bool) -> None:
         """Write Torque Enable(40), 0 or 1, and read it back. Raises DriverError if the servo reports another value."""
@@ -303,19 +245,18 @@ class FeetechServo:
         item = self._registers[register]
         return (item.address, item.encoded(clipped)), admitted.clipped or clipped != counts
 
-    def _sample(self, state: FeetechState, sent: float, received: float, *, saturated: bool) -> Sample:
-        sign, torque = self._config.sign, state.current * self._config.constant
-        self.info.check_readings(state.raw, state.velocity, torque)
+    def _checked(self, state: FeetechState, times: tuple[float, float], *, saturated: bool) -> Sample:
+        torque = state.current * self._config.constant
+        self.info.check_readings(state.raw, state.velocity, torque)  # before a damaged position is taken for a turn
         self._follow(state.raw)
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * self._position * self._model.position_lsb,
-            motor_velocity=sign * state.velocity,
-            motor_torque=sign * torque if self._config.constant else math.nan,
+        return self._sample(
+            times,
+            self._position * self._model.position_lsb,
+            state.velocity,
+            torque if self._config.constant else None,
             temperature=state.temperature,
             voltage=state.voltage,
-            status=Status.SATURATED if saturated else Status(0),
+            saturated=saturated,
         )
 
     def _follow(self, raw: int) -> None:

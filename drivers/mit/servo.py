@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
-from drivers.clock import Clock, MonotonicClock
-from drivers.gate import below_one_count
+from drivers.clock import Clock
+from drivers.gate import Admitted, DriveServo, below_one_count
 from drivers.mit.config import MitConfig
 from drivers.mit.frames import DISABLED, ENABLED, LOST_COMMUNICATION, MitState, fault, models
 from drivers.mit.motor import MitMotor
-from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import DriverError, Limits, Quantity, Sample, ServoInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import can
 
     from drivers.neighbours import Neighbour
@@ -35,7 +33,7 @@ _IGNORED = 10
 """Number of consecutive ticks with a wrong torque after which a motor counts as restarted."""
 
 
-class MitServo:
+class MitServo(DriveServo):
     """One motor that is open and identified, with its torque off.
 
     clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN
@@ -44,39 +42,34 @@ class MitServo:
     """
 
     def __init__(self, config: MitConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
-        self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._motor = MitMotor(config, self._link, self.clock)
+        self._settings = self._motor.settings
         self._ignored = 0
         self._gate = self._motor.requests.gate(_QUANTITIES, self._torque_off)
         with self._gate.opening(self._motor.send_leave):
             self.info = self._describe(self._motor.identify())
         self._gate.live = False
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write the limits and the timeout into a Damiao and read them back, then enter motor mode at zero torque.
 
-        An AK has no frame that sets limits. A Damiao's error "lost communication" is cleared. Raises DeviceFault if
-        another error is latched, DriverError if a register is refused or the torque limit is below one count; the
-        torque is off then.
+        An AK has no frame that sets limits. A Damiao's error "lost communication" is cleared.
         """
         if limits.torque < self.info.torque_lsb:
             raise below_one_count(limits.torque, self.info.torque_lsb, self._config.model)
-        with self._gate.arming(limits):
-            self._check_error(self._motor.leave())
-            if self._motor.damiao:
-                self._prepare(limits)
-            self._enable()
+        self._check_error(self._motor.leave())
+        if self._motor.damiao:
+            self._prepare(limits)
+        self._enable()
         self._ignored = 0
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state in one round trip.
-
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the motor reports an error, is no longer
-        enabled, or has not followed the command for ten ticks.
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read the state. Raises DeviceFault also if the motor has not followed the command for
+        ten ticks.
         """
-        admitted = self._gate.admit(command)
         counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
         sent = self.clock.now()
         state = self._motor.look() if counts is None else self._motor.drive(counts)
@@ -85,34 +78,16 @@ class MitServo:
         if counts is not None:
             self._check_follows(counts, state)
         require_position(state.position)
-        sign, torque = self._config.sign, state.torque * self._config.torque_scale
-        self.info.check_readings(state.position, state.velocity, torque)
         # the read that switches a live AK off says nothing of the torque before it
         unknown = counts is None and self._gate.live and not self._motor.damiao
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * state.position,
-            motor_velocity=sign * state.velocity,
-            motor_torque=math.nan if unknown else sign * torque,
+        return self._sample(
+            (sent, received),
+            state.position,
+            state.velocity,
+            None if unknown else state.torque * self._config.torque_scale,
             temperature=state.temperature - self._config.temperature_offset,
-            status=Status.SATURATED if saturated or admitted.clipped else Status(0),
+            saturated=saturated or admitted.clipped,
         )
-
-    def disarm(self) -> None:
-        """Leave motor mode and wait for the reply. Raises DriverError if the drive does not confirm it.
-
-        An AK does not report whether it is enabled, so its reply to the frame is the confirmation.
-        """
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Switch the torque off, restore the registers, and close the bus. Never raises DriverError."""
-        self._gate.close(self._motor.settings.restore)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`. An AK has no request for its state, so the first read switches the motor off."""
-        self._gate.fall_silent()
 
     def neighbours(self) -> list[Neighbour] | None:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -122,11 +97,8 @@ class MitServo:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
 
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._motor.settings.journal = journal
-
     def _torque_off(self, _request: int) -> None:
+        """Leave motor mode. An AK does not report whether it is enabled: its reply to the frame is the confirmation."""
         self._motor.send_leave()  # before `leave`, which waits for replies that are still due
         if self._motor.leave().status == ENABLED and self._motor.damiao:
             self._motor.drive(self._motor.codec.torque.of(0.0))  # it may still obey that

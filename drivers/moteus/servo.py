@@ -12,7 +12,8 @@ import math
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import Clock
+from drivers.gate import Admitted, DriveServo
 from drivers.moteus.config import MoteusConfig
 from drivers.moteus.controller import Controller
 from drivers.moteus.frames import (
@@ -32,12 +33,10 @@ from drivers.moteus.frames import (
     timed_out,
     write,
 )
-from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import BadReply, Command, DriverError, Limits, Quantity, Sample, ServoInfo
 from drivers.tick import WRAP, Freshness, TickClock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import can
 
     from drivers.neighbours import Neighbour
@@ -60,7 +59,7 @@ _STATE = b"".join(
 _STOP = write("mode", INT8, STOPPED)
 
 
-class MoteusServo:
+class MoteusServo(DriveServo):
     """One controller that is open, identified and stopped.
 
     clock, bus: given by tests; None uses the real clock and opens the bus of `config`. In `info` the counts of position
@@ -69,10 +68,11 @@ class MoteusServo:
     """
 
     def __init__(self, config: MoteusConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
-        self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._controller = Controller(config, self._link, self.clock)
+        self._settings = self._controller.settings
         self._milliseconds = TickClock()
         self._impossible = 0
         self._last_position = 0.0
@@ -95,49 +95,30 @@ class MoteusServo:
             watchdog=config.watchdog,
         )
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write the limits into the controller and read them back, then start the controller at zero torque, or at its
         present position.
 
         The limits of speed and temperature are written to the configuration, and also that a tripped watchdog stops the
-        motor (by default it holds the position). Torque limit and watchdog time are part of every command. Raises
-        DeviceFault if the controller is in fault, DriverError if it refuses a limit or does not start; it is stopped
-        then.
+        motor (by default it holds the position). Torque limit and watchdog time are part of every command.
         """
-        with self._gate.arming(limits):
-            state = self._controller.exchange(_STATE)
-            if state["mode"] == FAULT:
-                raise fault(state.whole("fault"))
-            self._stop()
-            self._prepare(limits)
-            self._milliseconds.restart()
-            self._last_position = state["position"]
-            self._start(limits)
+        state = self._controller.exchange(_STATE)
+        if state["mode"] == FAULT:
+            raise fault(state.whole("fault"))
+        self._stop()
+        self._prepare(limits)
+        self._milliseconds.restart()
+        self._last_position = state["position"]
+        self._start(limits)
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state in one round trip.
-
-        In position mode the last position is sent again for `Command.rest()`. Raises UnsafeCommand, NoReply, BadReply,
-        LinkLost, and DeviceFault if the controller is in fault, its watchdog tripped, or it has restarted.
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read the state. In position mode the last position is sent again for
+        `Command.rest()`.
         """
-        admitted = self._gate.admit(command)
         subframes = self._subframes(admitted.command)
         sent = self.clock.now()
         state = self._controller.exchange(*subframes, _STATE)
-        received = self.clock.now()
-        return self._sample(state, sent, received, saturated=admitted.clipped)
-
-    def disarm(self) -> None:
-        """Stop the controller and wait for its confirmation. Raises DriverError if the drive does not confirm it."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Stop the controller, restore its configuration, and close the bus. Never raises DriverError."""
-        self._gate.close(self._controller.settings.restore)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
+        return self._checked(state, (sent, self.clock.now()), saturated=admitted.clipped)
 
     def neighbours(self) -> list[Neighbour]:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -146,10 +127,6 @@ class MoteusServo:
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path([self._controller.unanswered(_STOP)], self._controller.restoring())
-
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._controller.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
         self._controller.send(_STOP)  # before `_stop`, which waits for replies that are still due
@@ -224,30 +201,25 @@ class MoteusServo:
         self._last_position = value / math.tau
         return self._position(self._last_position, limits)
 
-    def _sample(self, state: Registers, sent: float, received: float, *, saturated: bool) -> Sample:
+    def _checked(self, state: Registers, times: tuple[float, float], *, saturated: bool) -> Sample:
         missing = {"mode", "position", "velocity", "torque", "fault", "milliseconds"} - state.keys()
         if missing:
             raise BadReply(f"the reply lacks {', '.join(sorted(missing))}: the sample is dropped")
         self._check_mode(state)
-        freshness = self._milliseconds.judge(state.whole("milliseconds") % WRAP, sent, received)
+        freshness = self._milliseconds.judge(state.whole("milliseconds") % WRAP, *times)
         if freshness is Freshness.IMPOSSIBLE:
             self._refuse_impossible()
         self._impossible = 0
-        self.info.check_readings(state["position"], state["velocity"], state["torque"])
-        status = Status.SATURATED if saturated or limiting(state.whole("fault")) else Status(0)
-        if freshness is Freshness.STILL:
-            status |= Status.STALE
-        sign = self._config.sign
         temperatures = [state.get(name, math.nan) for name in ("temperature", "motor_temperature")]
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * state["position"] * math.tau,
-            motor_velocity=sign * state["velocity"] * math.tau,
-            motor_torque=sign * state["torque"],
+        return self._sample(
+            times,
+            state["position"] * math.tau,
+            state["velocity"] * math.tau,
+            state["torque"],
             temperature=max((value for value in temperatures if math.isfinite(value)), default=math.nan),
             voltage=state.get("voltage", math.nan),
-            status=status,
+            saturated=saturated or limiting(state.whole("fault")),
+            stale=freshness is Freshness.STILL,
         )
 
     def _check_mode(self, state: Registers) -> None:

@@ -84,10 +84,6 @@ class Parameters:
         exact = float(struct.unpack(layout, _packed(layout, value))[0])
         self.settings.require(name, exact, endpoint_names()[name])
 
-    def restore(self) -> None:
-        """Restore the parameters that `require` changed. A parameter that the drive refuses to restore is skipped."""
-        self.settings.restore()
-
     def restoring(self) -> list[can.Message]:
         """Return the frames that restore the parameters that `require` changed."""
         return [self._write(name, value) for name, value in self.settings.changed()]

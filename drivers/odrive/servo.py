@@ -15,7 +15,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from drivers.canbus.link import CanLink
-from drivers.clock import Clock, MonotonicClock, no_later
+from drivers.clock import Clock, no_later
+from drivers.gate import Admitted, DriveServo
 from drivers.odrive.axis import Axis
 from drivers.odrive.config import OdriveConfig
 from drivers.odrive.messages import (
@@ -27,11 +28,9 @@ from drivers.odrive.messages import (
     watchdog_bit,
 )
 from drivers.odrive.parameters import Parameters
-from drivers.servo import Command, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import DriverError, Limits, Quantity, Sample, ServoInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import can
 
     from drivers.neighbours import Neighbour
@@ -44,7 +43,7 @@ _EVERY = 8
 """Ticks between two requests for a slowly changing value."""
 
 
-class OdriveServo:
+class OdriveServo(DriveServo):
     """One axis that is open, identified and idle.
 
     clock, bus: given by tests; None uses the real clock and opens the bus of `config`. In `info` the counts of position
@@ -53,8 +52,8 @@ class OdriveServo:
     """
 
     def __init__(self, config: OdriveConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
-        self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._axis = Axis(config, self._link, self.clock)
         self._parameters: Parameters | None = None
@@ -64,6 +63,7 @@ class OdriveServo:
         with self._gate.opening(lambda: self._axis.requests.send([self._axis.codec.put("set_state", IDLE)])):
             firmware = self._axis.identify()
             self._parameters = self._open_parameters(firmware)
+            self._settings = self._parameters.settings if self._parameters else None
             self.disarm()
         self.info = ServoInfo(
             backend="odrive",
@@ -78,29 +78,21 @@ class OdriveServo:
             else "set odrive.watchdog = 0.1 and odrive.endpoints to the flat_endpoints.json of its firmware",
         )
 
-    def arm(self, limits: Limits) -> None:
+    def _arm(self, limits: Limits) -> None:
         """Write the limits into the axis, then enter closed loop at zero torque.
 
         With `endpoints`, the watchdog and the limits of torque, current, velocity and temperature are read back.
         Without, only the limits of velocity and current are sent, and CANSimple cannot read them back. An old watchdog
-        error is cleared. Raises DeviceFault if another error is latched, DriverError if the axis refuses a limit or
-        does not enter closed loop; the axis is idle then.
+        error is cleared.
         """
-        with self._gate.arming(limits):
-            self._clear_stale_watchdog()
-            self._prepare(limits)
-            self._enable()
+        self._clear_stale_watchdog()
+        self._prepare(limits)
+        self._enable()
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read position, velocity and torque.
-
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the axis reports an error or has left
-        closed loop.
-        """
-        admitted = self._gate.admit(command)
-        sign = self._config.sign
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read position, velocity and torque."""
         torque = "torques" if self._axis.codec.has("torques") else "iq"
-        frames = [self._axis.codec.put("set_torque", sign * admitted.command.value)] if admitted.command else []
+        frames = [self._axis.codec.put("set_torque", self._sign * admitted.command.value)] if admitted.command else []
         frames += [self._axis.codec.request("encoder"), self._axis.codec.request(torque), *self._slow_request()]
         self._axis.requests.refuse_unrequested()
         sent = self.clock.now()
@@ -111,32 +103,15 @@ class OdriveServo:
         received = self.clock.now()
         position, velocity = self._axis.codec.decoded("encoder", replies["encoder"])
         _, measured = self._axis.codec.decoded(torque, replies[torque])
-        self.info.check_readings(position, velocity, measured)
-        scale = 1.0 if torque == "torques" else self._config.torque_constant
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * position * math.tau,
-            motor_velocity=sign * velocity * math.tau,
-            motor_torque=sign * measured * scale,
+        return self._sample(
+            (sent, received),
+            position * math.tau,
+            velocity * math.tau,
+            measured * (1.0 if torque == "torques" else self._config.torque_constant),
             temperature=self._axis.temperature,
             voltage=self._axis.voltage,
-            status=Status.SATURATED if admitted.clipped else Status(0),
+            saturated=admitted.clipped,
         )
-
-    def disarm(self) -> None:
-        """Command zero torque and the state idle, until a heartbeat confirms idle. Raises DriverError if the drive does
-        not confirm it.
-        """
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Command the state idle, restore the parameters, and close the bus. Never raises DriverError."""
-        self._gate.close(self._parameters.restore if self._parameters else None)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
 
     def neighbours(self) -> list[Neighbour]:
         """See `drivers.neighbours.HasNeighbours`."""
@@ -145,11 +120,6 @@ class OdriveServo:
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._off(), self._parameters.restoring() if self._parameters else ())
-
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        if self._parameters:
-            self._parameters.settings.journal = journal
 
     def _off(self) -> list[can.Message]:
         return [self._axis.codec.put("set_torque", 0.0), self._axis.codec.put("set_state", IDLE)]

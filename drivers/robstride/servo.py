@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING
 
 from drivers.canbus.counts import require_position
 from drivers.canbus.link import CanLink
-from drivers.clock import Clock, MonotonicClock
-from drivers.gate import below_one_count
+from drivers.clock import Clock
+from drivers.gate import Admitted, DriveServo, below_one_count
 from drivers.robstride.config import RobstrideConfig
 from drivers.robstride.frames import RESTARTED, RUNNING, STOPPED, WATCHDOG, RobstrideState, fault, models
 from drivers.robstride.motor import RobstrideMotor
-from drivers.servo import Command, DeviceFault, DriverError, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.servo import DeviceFault, DriverError, Limits, Quantity, Sample, ServoInfo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import can
 
     from drivers.off_path import OffPath
@@ -30,7 +28,7 @@ _QUANTITIES = frozenset({Quantity.TORQUE})
 _TIMEOUT_LSB = 1.0 / 20_000.0
 
 
-class RobstrideServo:
+class RobstrideServo(DriveServo):
     """One motor that is open and identified, with its torque off.
 
     clock, bus: given by tests; None uses the real clock and opens the bus of `config`. info.torque_uncertainty is NaN
@@ -39,44 +37,37 @@ class RobstrideServo:
     """
 
     def __init__(self, config: RobstrideConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
+        super().__init__(config.sign, clock)
         self._config = config
         self._timeout = float(math.ceil(config.watchdog / _TIMEOUT_LSB - 1e-9))
-        self.clock: Clock = clock or MonotonicClock()
         self._link = CanLink(config.bus, self.clock, bus)
         self._motor = RobstrideMotor(config, self._link, self.clock)
+        self._settings = self._motor.settings
         self._gate = self._motor.requests.gate(_QUANTITIES, self._torque_off)
         with self._gate.opening(self._motor.send_stop):
             self.info = self._describe(*self._motor.identify())
         self._gate.live = False
 
-    def arm(self, limits: Limits) -> None:
-        """Write operation mode, torque limit and watchdog, read each back, and start the motor at zero torque.
-
-        Raises DeviceFault if a fault is latched or another program commands the motor, DriverError if a parameter is
-        refused or the torque limit is below one count; the torque is off then.
+    def _arm(self, limits: Limits) -> None:
+        """Write operation mode, torque limit and watchdog, read each back, and start the motor at zero torque. Raises
+        DeviceFault also if another program commands the motor.
         """
         if limits.torque < self.info.torque_lsb:
             raise below_one_count(limits.torque, self.info.torque_lsb, self._config.model)
-        with self._gate.arming(limits):
-            motor, settings = self._motor, self._motor.settings
-            motor.forget()
-            self._check(motor.stop())
-            settings.require("run_mode", 0.0)
-            most = limits.torque / self._config.torque_scale
-            settings.require("limit_torque", min(motor.get("limit_torque"), most))
-            if self._config.watchdog:
-                settings.require("canTimeout", self._timeout)
-            self._check(motor.enable())
-            if motor.drive(motor.codec.torque.of(0.0)).mode != RUNNING:
-                raise DriverError("the motor refuses to run: switch its power off and on")
+        motor, settings = self._motor, self._motor.settings
+        motor.forget()
+        self._check(motor.stop())
+        settings.require("run_mode", 0.0)
+        most = limits.torque / self._config.torque_scale
+        settings.require("limit_torque", min(motor.get("limit_torque"), most))
+        if self._config.watchdog:
+            settings.require("canTimeout", self._timeout)
+        self._check(motor.enable())
+        if motor.drive(motor.codec.torque.of(0.0)).mode != RUNNING:
+            raise DriverError("the motor refuses to run: switch its power off and on")
 
-    def exchange(self, command: Command) -> Sample:
-        """Send the set-point and read the state in one round trip.
-
-        Raises UnsafeCommand, NoReply, BadReply, LinkLost, and DeviceFault if the motor reports a fault, has stopped by
-        itself, has restarted, or is commanded by another program.
-        """
-        admitted = self._gate.admit(command)
+    def _exchange(self, admitted: Admitted) -> Sample:
+        """Send the set-point and read the state. Raises DeviceFault also if another program commands the motor."""
         counts, saturated = (None, False) if admitted.command is None else self._counts(admitted.command.value)
         sent = self.clock.now()
         if counts is not None:
@@ -86,37 +77,18 @@ class RobstrideServo:
         received = self.clock.now()
         self._check(state)
         require_position(state.position)
-        sign, torque = self._config.sign, state.torque * self._config.torque_scale
-        self.info.check_readings(state.position, state.velocity, torque)
-        return Sample(
-            t=sent,
-            t_read=0.5 * (sent + received),
-            motor_position=sign * state.position,
-            motor_velocity=sign * state.velocity,
-            motor_torque=sign * torque,
+        return self._sample(
+            (sent, received),
+            state.position,
+            state.velocity,
+            state.torque * self._config.torque_scale,
             temperature=state.temperature,
-            status=Status.SATURATED if saturated or admitted.clipped else Status(0),
+            saturated=saturated or admitted.clipped,
         )
-
-    def disarm(self) -> None:
-        """Stop the motor until a feedback confirms it. Raises DriverError if the drive does not confirm it."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Switch the torque off, restore the parameters, and close the bus. Never raises DriverError."""
-        self._gate.close(self._motor.settings.restore)
-
-    def fall_silent(self) -> None:
-        """See `Gate.fall_silent`."""
-        self._gate.fall_silent()
 
     def off_path(self) -> OffPath:
         """Return the frames that switch the torque off, for another process to send."""
         return self._link.off_path(self._motor.off_frames(), self._motor.restoring())
-
-    def keep_journal(self, journal: Callable[[], None]) -> None:
-        """Call `journal` before each write of a setting."""
-        self._motor.settings.journal = journal
 
     def _torque_off(self, _request: int) -> None:
         self._motor.send_stop()  # before `stop`, which waits for replies that are still due

@@ -10,8 +10,8 @@ from typing import Annotated, ClassVar
 from annotated_types import Gt
 
 from drivers.clock import Clock, VirtualClock
-from drivers.gate import Gate
-from drivers.servo import Command, Limits, Quantity, Sample, ServoInfo, Status
+from drivers.gate import Admitted, DriveServo, Gate
+from drivers.servo import Limits, Quantity, Sample, ServoInfo
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,55 +27,27 @@ class SpringDriveConfig:
     damping: Annotated[float, Gt(0)] = 2e-4
 
 
-class SpringDrive:
+class SpringDrive(DriveServo):
     """One motor on a spring. Its torque goes off after 0.1 s without a request."""
 
     def __init__(self, config: SpringDriveConfig, *, clock: Clock | None = None) -> None:
+        super().__init__(1, clock or VirtualClock())
         self._config = config
-        self._clock = clock or VirtualClock()
-        self._angle, self._torque, self._at = 0.0, 0.0, self._clock.now()
+        self._angle, self._torque, self._at = 0.0, 0.0, self.clock.now()
         quantities = frozenset({Quantity.TORQUE})
         self._gate = Gate("springdrive", quantities, torque_off=self._torque_off, release=lambda: None)
         with self._gate.opening():
             self._gate.disarm()
-        self._info = ServoInfo(backend="springdrive", model="spring", quantities=quantities, watchdog=0.1)
+        self.info = ServoInfo(backend="springdrive", model="spring", quantities=quantities, watchdog=0.1)
 
-    @property
-    def info(self) -> ServoInfo:
-        """What this servo is."""
-        return self._info
+    def _arm(self, limits: Limits) -> None:
+        del limits  # the gate keeps to them
+        self._move(0.0)
 
-    @property
-    def clock(self) -> Clock:
-        """Virtual time."""
-        return self._clock
-
-    def arm(self, limits: Limits) -> None:
-        """Admit commands within the limits."""
-        with self._gate.arming(limits):
-            self._move(0.0)
-
-    def exchange(self, command: Command) -> Sample:
-        """Set the torque, N m, and read the state. Raises UnsafeCommand."""
-        admitted = self._gate.admit(command)
+    def _exchange(self, admitted: Admitted) -> Sample:
         now = self._move(0.0 if admitted.command is None else admitted.command.value)
-        config = self._config
-        return Sample(
-            t=now,
-            t_read=now,
-            motor_position=self._angle,
-            motor_velocity=(self._torque - config.stiffness * self._angle) / config.damping,
-            motor_torque=self._torque,
-            status=Status.SATURATED if admitted.clipped else Status(0),
-        )
-
-    def disarm(self) -> None:
-        """Turn the torque off."""
-        self._gate.disarm()
-
-    def close(self) -> None:
-        """Turn the torque off; harmless when closed."""
-        self._gate.close()
+        velocity = (self._torque - self._config.stiffness * self._angle) / self._config.damping
+        return self._sample((now, now), self._angle, velocity, self._torque, saturated=admitted.clipped)
 
     def _torque_off(self, request: int) -> None:
         del request  # a drive may be asked several times until it confirms
@@ -83,7 +55,7 @@ class SpringDrive:
 
     def _move(self, torque: float) -> float:
         """Let the time since the last request pass under its torque, set the new one, and return the time, s."""
-        now, config = self._clock.now(), self._config
+        now, config = self.clock.now(), self._config
         settled = self._torque / config.stiffness
         self._angle = settled + (self._angle - settled) * exp(-(now - self._at) * config.stiffness / config.damping)
         self._at, self._torque = now, torque

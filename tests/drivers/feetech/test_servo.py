@@ -235,6 +235,17 @@ def test_a_servo_of_an_unknown_kind_is_refused_with_its_registers_and_nothing_is
     assert rig.closed
 
 
+@pytest.mark.parametrize("model", ["sts3215", "hls3930m"])
+def test_another_process_that_switches_off_leaves_the_torque_limit_at_zero(make_feetech: Make, model: str) -> None:
+    rig = make_feetech(model)
+    servo = rig.armed(LIMITS, torque_constant=1.0, mode="position")
+    path = servo.off_path()
+    limits = {address for address, _ in written(b"".join(path.off))} - {TORQUE_ENABLE}
+    assert limits
+    assert not limits & {address for address, _ in written(b"".join(path.restore))}
+    servo.close()
+
+
 def test_another_model_than_the_stand_files_is_refused_by_name(make_feetech: Make) -> None:
     with pytest.raises(DriverError, match=r"of the kind sts3250 .+ not the sts3215"):
         make_feetech("sts3250").open(model="sts3215")
