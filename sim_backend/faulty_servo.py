@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
-from drivers.clock import Clock
-from drivers.servo import BadReply, Command, DeviceFault, Limits, LinkLost, NoReply, Sample, Servo, ServoInfo, Status
+from drivers.servo import BadReply, Command, DeviceFault, Limits, LinkLost, NoReply, Sample, Servo, Status
 from sim_backend.fault_plan import DRIVE, HOST, LINK, FaultPlan, PlannedFault
 
 _TIMEOUT = 0.008  # s after which a host takes a reply for lost
@@ -23,6 +22,7 @@ class FaultyServo:
     """
 
     def __init__(self, servo: Servo, plan: FaultPlan, on_host: Callable[[PlannedFault], object]) -> None:
+        self.info, self.clock = servo.info, servo.clock
         self._servo = servo
         self._plan = plan
         self._on_host = on_host
@@ -31,16 +31,6 @@ class FaultyServo:
         self._happened: set[PlannedFault] = set()
         self._last: Sample | None = None
         self._stuck = math.nan
-
-    @property
-    def info(self) -> ServoInfo:
-        """See `Servo`."""
-        return self._servo.info
-
-    @property
-    def clock(self) -> Clock:
-        """See `Servo`."""
-        return self._servo.clock
 
     def arm(self, limits: Limits) -> None:
         """See `Servo`."""

@@ -15,7 +15,7 @@ import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import can
 import serial
@@ -84,6 +84,11 @@ class BusConfig:
     channel: str
     bitrate: int
     data_bitrate: int = 0
+
+    @classmethod
+    def of(cls, table: Any) -> Self:
+        """Return the bus that a table of stand.toml names by these keys."""
+        return cls(table.interface, table.channel, table.bitrate, getattr(table, "data_bitrate", 0))
 
     @property
     def name(self) -> str:

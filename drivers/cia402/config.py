@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Unit
 
-from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
 from drivers.torque_constant import implausible
 
@@ -50,8 +49,3 @@ class Cia402Config:
             raise ValueError(f"cia402.own_id {self.own_id} is the drive's own id: choose another")
         if self.profile == "epos2" and self.torque_constant is None:
             raise ValueError("cia402.torque_constant (N m/A) must be given for an epos2, which measures current only")
-
-    @property
-    def bus(self) -> BusConfig:
-        """The configuration of the CAN bus."""
-        return BusConfig(self.interface, self.channel, self.bitrate)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drivers.canbus.link import CanLink, frame
+from drivers.canbus.link import BusConfig, CanLink, frame
 from drivers.canbus.neighbours import ask_each, listen
 from drivers.cia402.network import LinkedNetwork, Refused
 from drivers.cia402.profiles import ObjectIndex
@@ -35,7 +35,7 @@ def search(config: Cia402Config, clock: Clock | None = None, bus: can.BusABC | N
     cannot be opened.
     """
     clock = clock or MonotonicClock()
-    link = CanLink(config.bus, clock, bus)
+    link = CanLink(BusConfig.of(config), clock, bus)
     try:
         return [_described(link, clock, ident) for ident in _answering(link, clock)]
     finally:

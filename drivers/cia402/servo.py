@@ -14,7 +14,7 @@ import contextlib
 import math
 from typing import TYPE_CHECKING
 
-from drivers.canbus.link import CanLink
+from drivers.canbus.link import BusConfig, CanLink
 from drivers.cia402.config import Cia402Config
 from drivers.cia402.node import TPDO1, TPDO2, Node
 from drivers.cia402.scan import neighbours
@@ -46,7 +46,7 @@ class Cia402Servo(DriveServo):
     def __init__(self, config: Cia402Config, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         super().__init__(config.sign, clock)
         self._config = config
-        self._link = CanLink(config.bus, self.clock, bus)
+        self._link = CanLink(BusConfig.of(config), self.clock, bus)
         self._node = Node(config, self._link, self.clock)
         self._settings = self._node.objects.settings
         self._ticks = self._most = 0

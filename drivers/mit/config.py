@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Unit
 
-from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
 from drivers.mit.frames import models
 
@@ -53,11 +52,6 @@ class MitConfig:
         if self.model not in models():
             raise ValueError(f"mit.model {self.model!r} is not known; there are {', '.join(sorted(models()))}")
         check_watchdog("mit", self.watchdog, self.reply_timeout)
-
-    @property
-    def bus(self) -> BusConfig:
-        """The configuration of the CAN bus."""
-        return BusConfig(self.interface, self.channel, self.bitrate)
 
     @property
     def ranges(self) -> tuple[float, float, float]:

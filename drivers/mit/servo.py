@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING
 
 from drivers.canbus.counts import require_position
-from drivers.canbus.link import CanLink
+from drivers.canbus.link import BusConfig, CanLink
 from drivers.clock import Clock
 from drivers.gate import Admitted, DriveServo, below_one_count
 from drivers.mit.config import MitConfig
@@ -44,7 +44,7 @@ class MitServo(DriveServo):
     def __init__(self, config: MitConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         super().__init__(config.sign, clock)
         self._config = config
-        self._link = CanLink(config.bus, self.clock, bus)
+        self._link = CanLink(BusConfig.of(config), self.clock, bus)
         self._motor = MitMotor(config, self._link, self.clock)
         self._settings = self._motor.settings
         self._ignored = 0

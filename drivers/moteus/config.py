@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from annotated_types import Ge, Gt, Le, Unit
 
-from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
 from drivers.servo import Quantity
 
@@ -53,8 +52,3 @@ class MoteusConfig:
     def quantity(self) -> Quantity:
         """The quantity that is commanded; torque where `mode` is None."""
         return Quantity(self.mode or "torque")
-
-    @property
-    def bus(self) -> BusConfig:
-        """The configuration of the CAN bus."""
-        return BusConfig(self.interface, self.channel, self.bitrate, self.data_bitrate)

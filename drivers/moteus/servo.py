@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from drivers.canbus.link import CanLink
+from drivers.canbus.link import BusConfig, CanLink
 from drivers.clock import Clock
 from drivers.gate import Admitted, DriveServo
 from drivers.moteus.config import MoteusConfig
@@ -70,7 +70,7 @@ class MoteusServo(DriveServo):
     def __init__(self, config: MoteusConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         super().__init__(config.sign, clock)
         self._config = config
-        self._link = CanLink(config.bus, self.clock, bus)
+        self._link = CanLink(BusConfig.of(config), self.clock, bus)
         self._controller = Controller(config, self._link, self.clock)
         self._settings = self._controller.settings
         self._milliseconds = TickClock()

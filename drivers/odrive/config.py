@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Unit
 
-from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
 from drivers.torque_constant import implausible
 
@@ -39,8 +38,3 @@ class OdriveConfig:
         check_watchdog("odrive", self.watchdog, self.reply_timeout)
         if problem := implausible("odrive.torque_constant", self.torque_constant):
             raise ValueError(problem)
-
-    @property
-    def bus(self) -> BusConfig:
-        """The configuration of the CAN bus."""
-        return BusConfig(self.interface, self.channel, self.bitrate)

@@ -14,7 +14,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING
 
-from drivers.canbus.link import CanLink
+from drivers.canbus.link import BusConfig, CanLink
 from drivers.clock import Clock, no_later
 from drivers.gate import Admitted, DriveServo
 from drivers.odrive.axis import Axis
@@ -54,7 +54,7 @@ class OdriveServo(DriveServo):
     def __init__(self, config: OdriveConfig, *, clock: Clock | None = None, bus: can.BusABC | None = None) -> None:
         super().__init__(config.sign, clock)
         self._config = config
-        self._link = CanLink(config.bus, self.clock, bus)
+        self._link = CanLink(BusConfig.of(config), self.clock, bus)
         self._axis = Axis(config, self._link, self.clock)
         self._parameters: Parameters | None = None
         self._ticks = 0

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Unit
 
-from drivers.canbus.link import BusConfig
 from drivers.gate import check_watchdog
 from drivers.robstride.frames import BROADCAST, models
 
@@ -61,8 +60,3 @@ class RobstrideConfig:
     def largest_torque(self) -> float:
         """The largest torque that a frame can command, N m."""
         return (self.torque_range or models()[self.model].torque) * self.torque_scale
-
-    @property
-    def bus(self) -> BusConfig:
-        """The configuration of the CAN bus."""
-        return BusConfig(self.interface, self.channel, self.bitrate)

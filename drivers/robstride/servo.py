@@ -11,7 +11,7 @@ import math
 from typing import TYPE_CHECKING
 
 from drivers.canbus.counts import require_position
-from drivers.canbus.link import CanLink
+from drivers.canbus.link import BusConfig, CanLink
 from drivers.clock import Clock
 from drivers.gate import Admitted, DriveServo, below_one_count
 from drivers.robstride.config import RobstrideConfig
@@ -40,7 +40,7 @@ class RobstrideServo(DriveServo):
         super().__init__(config.sign, clock)
         self._config = config
         self._timeout = float(math.ceil(config.watchdog / _TIMEOUT_LSB - 1e-9))
-        self._link = CanLink(config.bus, self.clock, bus)
+        self._link = CanLink(BusConfig.of(config), self.clock, bus)
         self._motor = RobstrideMotor(config, self._link, self.clock)
         self._settings = self._motor.settings
         self._gate = self._motor.requests.gate(_QUANTITIES, self._torque_off)

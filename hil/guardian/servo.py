@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from drivers.clock import Clock, MonotonicClock
+from drivers.clock import MonotonicClock
 from drivers.gate import FallsSilent
 from drivers.off_path import HasJournal, HasOffPath
-from drivers.servo import Command, DriverError, Limits, Sample, Servo, ServoInfo
+from drivers.servo import Command, DriverError, Limits, Sample, Servo
 from hil.guardian.handle import Guardian, available
 
 _SLICE = 5e-3  # s between two signs of life in a long wait
@@ -53,6 +53,8 @@ class GuardedClock(MonotonicClock):
 class GuardedServo:
     """The servo `servo` with a guardian, which switches the torque off if this process cannot.
 
+    inner: the servo without its guardian. clock: gives signs of life while it waits.
+
     The guardian runs from arming until `close`. If opening the servo has changed a setting of the drive, the guardian
     runs from the opening on, so that the setting is restored even if this process is killed before arming. After the
     guardian has acted, `exchange` sends nothing, and only the torque-off is sent. Raises DriverError if the guardian
@@ -60,6 +62,7 @@ class GuardedServo:
     """
 
     def __init__(self, servo: Servo, path: HasOffPath, watch: Watch) -> None:
+        self.info, self.inner = servo.info, servo
         self._servo = servo
         self._path = path
         self._watch = watch
@@ -68,25 +71,10 @@ class GuardedServo:
         self._took: list[float] = []
         self._usual = 0.0
         self._off_since = math.nan
-        self._clock = GuardedClock(self.beat)
+        self.clock = GuardedClock(self.beat)
 
     def _started(self) -> Guardian:
         return Guardian(self._path.off_path(), self._watch.silence)
-
-    @property
-    def inner(self) -> Servo:
-        """The servo without its guardian."""
-        return self._servo
-
-    @property
-    def info(self) -> ServoInfo:
-        """The description of the servo."""
-        return self._servo.info
-
-    @property
-    def clock(self) -> Clock:
-        """The servo's clock; while it waits, it gives signs of life."""
-        return self._clock
 
     def beat(self) -> None:
         """Give a sign of life if the servo is armed. Raises GuardianFired, GuardianLost."""
@@ -121,9 +109,9 @@ class GuardedServo:
             self._guardian.check()
             self._guardian.beat(self._usual)
             return self._servo.exchange(command)
-        before = self._clock.now()
+        before = self.clock.now()
         sample = self._servo.exchange(command)
-        self._took = [*self._took[-_REMEMBERED:], self._clock.now() - before]
+        self._took = [*self._took[-_REMEMBERED:], self.clock.now() - before]
         return sample
 
     def fall_silent(self) -> None:
@@ -177,7 +165,7 @@ class GuardedServo:
         try:
             if math.isfinite(self._off_since):  # the torque-off was not confirmed
                 guardian.fire()
-                self._clock.sleep_until(self._clock.now() + _OTHER_WAY)
+                self.clock.sleep_until(self.clock.now() + _OTHER_WAY)
                 guardian.stand_down()
             self._servo.close()
         finally:

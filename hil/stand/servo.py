@@ -8,7 +8,6 @@ import contextlib
 import math
 from dataclasses import replace
 
-from drivers.clock import Clock
 from drivers.servo import (
     BadReply,
     Command,
@@ -19,7 +18,6 @@ from drivers.servo import (
     Quantity,
     Sample,
     Servo,
-    ServoInfo,
 )
 
 SILENCE = 0.25
@@ -31,29 +29,15 @@ class StandServo:
 
     zero: rad at the motor shaft. sensor: at the joint, None without a separate sensor. If the sensor is slower than the
     control loop, its last reading is repeated, with the time at which it was taken (`Sample.t_joint`). A reading that
-    is lost is NaN in its sample.
+    is lost is NaN in its sample. inner: the servo without joint sensor and zero.
     """
 
     def __init__(self, servo: Servo, zero: float, sensor: JointSensor | None) -> None:
+        self.info, self.clock, self.inner = servo.info, servo.clock, servo
         self._servo = servo
         self._zero = zero
         self._sensor = sensor
         self._seen = servo.clock.now()
-
-    @property
-    def inner(self) -> Servo:
-        """The servo without joint sensor and zero."""
-        return self._servo
-
-    @property
-    def info(self) -> ServoInfo:
-        """The description of the servo."""
-        return self._servo.info
-
-    @property
-    def clock(self) -> Clock:
-        """The servo's clock, which also gives the times of the sensor's readings."""
-        return self._servo.clock
 
     def arm(self, limits: Limits) -> None:
         """Arm the servo. Raises DriverError."""

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from drivers.canbus.link import BusConfig
 from drivers.cia402.config import Cia402Config
 from drivers.commander.config import CommanderConfig
 from drivers.dynamixel.config import DynamixelConfig
@@ -56,7 +57,8 @@ def test_a_few_lines_are_enough(kind: str, change: Table, attribute: str, value:
 
 
 def test_a_moteus_has_can_fd() -> None:
-    assert (read("moteus", {}).bus.bitrate, read("moteus", {}).bus.data_bitrate) == (1_000_000, 5_000_000)
+    bus = BusConfig.of(read("moteus", {}))
+    assert (bus.bitrate, bus.data_bitrate) == (1_000_000, 5_000_000)
 
 
 WRONG: dict[str, list[tuple[Table, str]]] = {
