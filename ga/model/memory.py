@@ -191,7 +191,7 @@ def lag_behind(time: Array, table: Array, constant: float, found: Array, chord: 
             beyond = (table[at + 2, k] - table[at + 1, k]) * per_following if at + 2 < count else chord[k]
             next_slope = share * chord[k] + (1.0 - share) * beyond
             # a cubic less its slopes, p - T p' + T^2 p'' - T^3 p''', is what the lag has settled to; the rest decays
-            third = 6.0 * (slope[k] + next_slope - 2.0 * chord[k]) * part
+            third = 2.0 * 3.0 * (slope[k] + next_slope - 2.0 * chord[k]) * part
             second = 2.0 * (3.0 * chord[k] - 2.0 * slope[k] - next_slope)
             begin = table[at, k] + constant * (part * (second - third) - slope[k])
             end = table[at + 1, k] + constant * (part * (second + third * per_part - third) - next_slope)
@@ -215,7 +215,7 @@ def add_up(time: Array, table: Array, slopes: Array, areas: Array) -> None:
             chord = (table[at + 1, k] - table[at, k]) / step
             beyond = (table[at + 2, k] - table[at + 1, k]) / following if at + 1 < last else chord
             slopes[at + 1, k] = share * chord + (1.0 - share) * beyond
-            bend = step * (slopes[at, k] - slopes[at + 1, k]) / 6.0
+            bend = step * (slopes[at, k] - slopes[at + 1, k]) / 2.0 / 3.0
             areas[at + 1, k] = areas[at, k] + 0.5 * step * (table[at, k] + table[at + 1, k] + bend)
 
 
@@ -248,7 +248,7 @@ def area(time: Array, table: Array, slopes: Array, areas: Array, at: int, k: int
     chord, slope, next_slope = (table[at + 1, k] - table[at, k]) / step, slopes[at, k], slopes[at + 1, k]
     square, cube = (3.0 * chord - 2.0 * slope - next_slope) / step, (slope + next_slope - 2.0 * chord) / step**2
     found: float = areas[at, k] + past * (
-        table[at, k] + past * (0.5 * slope + past * (square / 3.0 + past * 0.25 * cube))
+        table[at, k] + past * (0.5 * slope + past * (square / 3.0 + past * cube / 4.0))
     )
     return found
 

@@ -39,11 +39,11 @@ _AGREED: the precision of Bc/Kc at which contact and fit agree.
 
 _ALIKE: Final = 1.0 - 1e-6  # of a fitness: what differs by less has the same columns
 _STARTS: Final = 300
-_STEPS: Final = 20
-_HALVINGS: Final = 4
+STEPS: Final = 20
+HALVINGS: Final = 4
 _CONVERGED: Final = 1e-7
 _NEARLY: Final = 1e-5
-"""_STARTS, _STEPS: the largest numbers of starting values, and of steps of a descent. _HALVINGS: how often a step is
+"""_STARTS, STEPS: the largest numbers of starting values, and of steps of a descent. HALVINGS: how often a step is
 shortened. _CONVERGED: a descent ends when a step gains less than this fraction of the fitness, or is shorter than this
 fraction of the bounds' width. _NEARLY: the same for a minimum that is a starting point, or rough.
 """
@@ -266,7 +266,7 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
     """Return two fits: the fit at the start, and the result of `descend`."""
     solved = problem._solved(np.clip(start, problem.low, problem.high))
     first, count = solved.fit, problem.low.size
-    for _ in range(_STEPS if count else 0):
+    for _ in range(STEPS if count else 0):
         best = solved.fit
         try:
             step = not_negative(*problem._around(solved), problem.positive, best.values).genes[-count:] - best.nonlinear
@@ -284,7 +284,7 @@ def _descent(problem: Problem, start: Array, converged: float) -> tuple[Fit, Fit
 
 def _shortened(problem: Problem, best: Fit, step: Array) -> _Solved | None:
     """Return the first fit of lower fitness among ever shorter steps from `best`, with its linear problem; or None."""
-    for halving in range(_HALVINGS):
+    for halving in range(HALVINGS):
         nonlinear = np.clip(best.nonlinear + step * 0.5**halving, problem.low, problem.high)
         if np.array_equal(nonlinear, best.nonlinear):
             return None
@@ -322,7 +322,7 @@ def compass_search(problem: Problem, best: Fit) -> Fit:
                 path = [_further(problem, path[0], found)]
             best = path[-1]
         else:
-            path, length = [best], length * (0.5 if length > _FINE else 0.25)
+            path, length = [best], length / (2.0 if length > _FINE else 4.0)
     return best
 
 

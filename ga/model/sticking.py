@@ -44,11 +44,11 @@ rest with the direction of arrival.
 """
 
 LATER: Final = 2
-HIDDEN: Final = {2: 125.0, 3: 50.0}
+HIDDEN: Final = (125.0, 50.0)
 OF_SPRING: Final = 0.5
 """Limits above which friction cannot be distinguished from a function of the deflections at several times.
 
-LATER: the number of samples between two such deflections. HIDDEN: for each number of deflections, the variance
+LATER: the number of samples between two such deflections. HIDDEN: for two and for three deflections, the variance
 inflation of friction above which friction is not distinguishable. OF_SPRING: the fraction of friction that is then
 stiffness, at the ends of the range. With two deflections the inflation is 190 or more behind first-order drives
 (filtering of the angle rounds the start of each move) and 90 or less behind second-order ones. With three it is 120 or
@@ -57,9 +57,7 @@ more behind second-order drives that hardly overshoot, and 17 or less in other m
 
 NOISY: Final = 0.5
 FINEST: Final = 0.001
-SMOOTHEST: Final = 0.05
-"""v_s of the Coulomb term is NOISY times the rate's noise, but at least FINEST and at most SMOOTHEST times the r.m.s.
-rate.
+"""v_s of the Coulomb term is NOISY times the rate's noise, but at least FINEST and at most QUIET times the r.m.s. rate.
 
 While friction slides, the term must equal the sign of the rate: if it is too small by 1.3 %, Bc is too small by 1.3 %.
 """
@@ -91,7 +89,7 @@ def smoothing(motion: Motion) -> float:
     if not len(motion):
         return 0.0
     usual = _usual(motion)
-    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, SMOOTHEST * usual))
+    return float(np.clip(NOISY * (motion.rate_noise or 0.0), FINEST * usual, QUIET * usual))
 
 
 def beyond_noise(apart: Array, values: Array, noise: float = 0.0) -> float:
@@ -186,7 +184,7 @@ def is_hidden(motion: Motion, *, inertia: bool = False) -> bool:
         ways.append(way / max(float(way.std()), np.finfo(float).tiny))
     columns = np.stack([np.ones(len(place) - last), *(way[: len(place) - last] for way in ways)], axis=1)[alike]
     parts = np.linalg.lstsq(columns, friction, rcond=None)[0]
-    return bool(parts[1] > OF_SPRING and HIDDEN[places] * np.var(friction - columns @ parts) < np.var(friction))
+    return bool(parts[1] > OF_SPRING and HIDDEN[inertia] * np.var(friction - columns @ parts) < np.var(friction))
 
 
 def _resting(motion: Motion) -> Mask:

@@ -40,6 +40,9 @@ deflection and rate do not explain.
 
 _TINY: Final = 1e-300
 
+_EIGHTH: Final = 0.125
+"""Half a quarter of the range, the distance between the deflections whose crossings are counted, over the range."""
+
 _AGAIN: Final = 4
 """The number of passes of the joint below which a change in time looks like a difference between directions."""
 
@@ -110,8 +113,8 @@ class Motion:
     def passes(self) -> int:
         """Return how often the joint crossed a quarter of its range, for the quarter that it crossed most often."""
         least, span = float(self.dtheta.min()), float(np.ptp(self.dtheta))
-        middles = least + span * np.arange(0.125, 0.9, 0.125)
-        through = [centred[np.abs(centred) > 0.125 * span] for centred in self.dtheta - middles[:, None]]
+        middles = least + span * _EIGHTH * np.arange(1.0, 1.0 / _EIGHTH)
+        through = [centred[np.abs(centred) > _EIGHTH * span] for centred in self.dtheta - middles[:, None]]
         return max(int(np.count_nonzero(np.diff(np.sign(one)))) for one in through)
 
     @property

@@ -175,7 +175,7 @@ def _repeated(name: str, measured: Sequence[Measured]) -> Repeated:
     pooled = between(values, errors)
     hours = np.array([one.hours for one in usable])
     slope = drift(hours, values, errors) if len(usable) > 2 and np.isfinite(hours).all() and np.ptp(hours) > 0 else None
-    repeats = pooled.p_alike >= c.BY_CHANCE_APART and (slope is None or slope.p >= c.BY_CHANCE_APART)
+    repeats = pooled.p_alike >= c.SIGNIFICANT and (slope is None or slope.p >= c.SIGNIFICANT)
     verdict = _verdict(name, pooled, slope, len(usable))
     scale = max(one.torque_scale.included for one in usable)
     error, ends = math.hypot(pooled.standard_error, scale * pooled.value), widened(pooled.value, pooled.ci95, scale)
@@ -186,7 +186,7 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
     scale = 100.0 / abs(pooled.value)
     within, apart = pooled.within * scale, pooled.between * scale
     low, high = (end * scale for end in pooled.between_ci95)
-    if pooled.p_alike < c.BY_CHANCE_APART:
+    if pooled.p_alike < c.SIGNIFICANT:
         verdict = (
             f"{name} does not repeat: the recordings differ by {apart:.2g} % (standard deviation; 95 %: {low:.2g} to "
             f"{high:.2g} %), and the error of one recording is {within:.2g} %. Use the pooled interval, not that of "
@@ -204,6 +204,6 @@ def _verdict(name: str, pooled: Pooled, slope: Drift | None, count: int) -> str:
             f"{name} repeats: the recordings differ by at most {high:.2g} % (standard deviation), and the error of one "
             f"recording is {within:.2g} %"
         )
-    if slope is not None and slope.p < c.BY_CHANCE_APART:
+    if slope is not None and slope.p < c.SIGNIFICANT:
         verdict += f". It drifts by {slope.slope * scale:+.2g} % an hour (p = {slope.p:.2g})"
     return f"{verdict}."

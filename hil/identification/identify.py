@@ -45,7 +45,6 @@ from hil.recording.channels import TorqueScale
 from hil.recording.interval import Given
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
-from hil.signals.rate.windows import RATE_ACCURACY
 from hil.signals.source import Source, open_sources
 
 _UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
@@ -152,7 +151,7 @@ def _evidence(data: Dataset, solution: Solution) -> Evidence:
     values = np.where([one.positive for one in parameters], np.maximum(values, 0.0), values)
     # held set-points make the rate, and so Bc, wrong by anything up to `taken_off`
     taken_off = most_taken_off(data.signals) or _most_without_command(data.signals, size_of(fitted, "delay"))
-    rate = c.NORMAL * np.hypot(RATE_ACCURACY, taken_off / 3.0**0.5) * np.abs(solution.values)
+    rate = c.NORMAL * np.hypot(c.RATE_ACCURACY, taken_off / 3.0**0.5) * np.abs(solution.values)
     rate[[name != "Bc" for name in given[0]]] = 0.0
     noise = np.minimum(sampling.half_width, chosen)
     others = [

@@ -20,10 +20,12 @@ from hil.identification.result import Identification
 from hil.recording.ahead import Progress
 from hil.recording.output import next_free
 from hil.recording.reader import Recording
+from hil.signals.constants import COUPLING
 from hil.signals.prepare import Signals
 from hil.stand.file import SIMULATED, parse
 
 SAMPLES, RATE = 2500, 500.0
+_AMPLITUDE, _BAND = 0.2, (0.2, 15.0)  # of the limit of the torque; Hz
 PAPER = {"Kc": (17.52e-3, 6.62e-3), "Bc": (0.19e-3, 0.075e-3)}
 """Mean and standard deviation of each parameter over the paper's 30 trials, SI (Table 1 of the paper)."""
 
@@ -94,9 +96,9 @@ def _record(folder: Path, seed: int) -> Path:
         "chirp",
         Quantity.TORQUE,
         amplitude=None,
-        default_amplitude=stand.checked_limits().torque / 5.0,
+        default_amplitude=_AMPLITUDE * stand.checked_limits().torque,
         duration=(SAMPLES - 1) / RATE,
-        band=(0.2, 15.0),
+        band=_BAND,
         rate=RATE,
         fade=0.5,
         seed=seed,
@@ -118,10 +120,11 @@ def _record(folder: Path, seed: int) -> Path:
 def _numpy_seconds(signals: Signals) -> float:
     """Return the processor time, s, of one fitness evaluation in plain NumPy: the shortest of many."""
     dtheta, rate, torque = signals.motion.dtheta, signals.motion.dtheta_dot, signals.torque
+    stiffness, damping = (PAPER[name][0] for name in COUPLING)
     best, end = float("inf"), time.process_time() + _MEASURE
     while time.process_time() < end:
         began = time.process_time()
         for _ in range(100):
-            np.mean(np.abs(torque - (dtheta * 0.0177 + rate * 1.9e-4)))
+            np.mean(np.abs(torque - (dtheta * stiffness + rate * damping)))
         best = min(best, (time.process_time() - began) / 100)
     return best

@@ -298,4 +298,4 @@ def with_scale(one: Estimate, uncertainty: float) -> Estimate:
 
 def standard_error(estimate: Estimate) -> float:
     """Return the standard error of an estimate, in its unit, without the part that the torque's scale causes."""
-    return float(max(estimate.without_scale.stderr, c.NO_NOISE * abs(estimate.value), math.ulp(0.0)))
+    return float(max(estimate.without_scale.stderr, c.ROUNDED * abs(estimate.value), math.ulp(0.0)))

@@ -20,7 +20,7 @@ import numpy as np
 
 from ga.arrays import Array
 from hil.errors import Untrustworthy
-from hil.signals.constants import SERIES_CONVERGED, SERIES_ROUNDS
+from hil.signals.constants import CURVE_POINTS, DEPENDENT, NEWTON_LIMIT
 from hil.signals.rate.spectrum import power_of
 
 
@@ -46,7 +46,7 @@ class Excitation:
     @classmethod
     def flat(cls, band: tuple[float, float]) -> Excitation:
         """Return equal power at every frequency of the band, Hz, as in a linear chirp of the deflection."""
-        frequency = np.linspace(*band, 200)
+        frequency = np.linspace(*band, CURVE_POINTS)
         return cls(frequency, np.ones_like(frequency))
 
     @classmethod
@@ -70,8 +70,8 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
     target = np.array([measured.stiffness, measured.damping])
     held = np.array([fixture.stiffness, fixture.damping])
     found = _closed_form(target, held)
-    small = SERIES_CONVERGED * target[0] * np.array([1.0, 1.0 / (2.0 * np.pi * excitation.frequency.max())])
-    for _ in range(SERIES_ROUNDS):
+    small = DEPENDENT * target[0] * np.array([1.0, 1.0 / (2.0 * np.pi * excitation.frequency.max())])
+    for _ in range(NEWTON_LIMIT):
         step = np.linalg.solve(_jacobian(found, held, excitation), target - series(found, held, excitation))
         found = found + step
         if np.all(np.abs(step) <= small):

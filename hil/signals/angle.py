@@ -73,7 +73,7 @@ def _goes_round(angle: Array, torque: Array, jumps: Mask, size: float) -> bool:
         np.ptp(torque)
     )
     return (
-        int(np.count_nonzero(jumps)) >= c.SURE_JUMPS
+        int(np.count_nonzero(jumps)) >= c.REPEATED
         and high - low <= size + 2.0 * usual
         and bool(at_ends.all())
         and goes_on

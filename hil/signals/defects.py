@@ -183,11 +183,7 @@ def clipped(dtheta: Array, torque: Array) -> Mask:
     for values in (torque, -torque):
         at_end = values == values.max(initial=-np.inf)
         episodes = np.count_nonzero(at_end[1:] > at_end[:-1])
-        if (
-            np.count_nonzero(at_end) >= c.FEWEST
-            and episodes >= c.CLIPPED_TIMES
-            and _goes_on(values, dtheta[at_end], slope)
-        ):
+        if np.count_nonzero(at_end) >= c.FEWEST and episodes >= c.REPEATED and _goes_on(values, dtheta[at_end], slope):
             found |= at_end
     return np.convolve(found, np.ones(2 * c.CLIPPED_BESIDE + 1), "same") > 0.5 if found.any() else found
 

@@ -38,13 +38,13 @@ def _unshared(values: Array, other: Array) -> float:
 
     It is computed from the upper half of the spectrum; infinite for too few rows.
     """
-    count = len(values) // c.HALF_SEGMENT - 1
+    count = len(values) // c.SHORTEST_SEGMENT - 1
     if count < c.FEWEST:
         return np.inf
-    taper = np.hanning(2 * c.HALF_SEGMENT + 1)[:-1]
-    starts = c.HALF_SEGMENT * np.arange(count)[:, None] + np.arange(2 * c.HALF_SEGMENT)
+    taper = np.hanning(2 * c.SHORTEST_SEGMENT + 1)[:-1]
+    starts = c.SHORTEST_SEGMENT * np.arange(count)[:, None] + np.arange(2 * c.SHORTEST_SEGMENT)
     own, others = (
-        np.fft.rfft((read - read.mean())[starts] * taper)[:, c.HALF_SEGMENT // 2 : -1] for read in (values, other)
+        np.fft.rfft((read - read.mean())[starts] * taper)[:, c.SHORTEST_SEGMENT // 2 : -1] for read in (values, other)
     )
     power, beside = (np.sum(np.abs(part) ** 2, axis=0) for part in (own, others))
     shared = np.abs(np.sum(own * others.conj(), axis=0)) ** 2 / np.maximum(beside, 1e-300)
@@ -70,7 +70,7 @@ def _drawn(motion: Motion, torque: Array, step: float, noise: float) -> float:
     slope = damping * motion.dtheta_ddot
     others = columns[:, :3]
     alone = slope - others @ np.linalg.lstsq(others, slope, rcond=None)[0]
-    if float(np.mean(alone**2)) * c.SKEW_INFLATION < float(np.mean(slope**2)):
+    if float(np.mean(alone**2)) * c.CONFUSED < float(np.mean(slope**2)):
         return 0.0  # a skew cannot be distinguished, and is not included
     drawn = skew_by_noise(stiffness * noise, alone, step)
     return float(abs(stiffness * drawn / damping)) if damping else np.inf

@@ -41,7 +41,7 @@ def smooth_torque(reading: Array, set_points: Array) -> Array:
     if float(np.std(rest[good])) > c.SMALL_COUNT * step:
         return reading
     # the mean of both levels, and a twelfth of its curvature
-    smooth = 0.5 * (old + new + c.TWELFTH * (old + new - earlier - coming))
+    smooth = 0.5 * (old + new + c.ROUNDING**2 * (old + new - earlier - coming))
     return np.asarray(np.where(good, smooth + rest, reading))
 
 

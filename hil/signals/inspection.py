@@ -12,7 +12,7 @@ from hil.diagnostics import Diagnostic
 from hil.recording.ahead import Progress
 from hil.recording.interval import Given
 from hil.recording.reader import Recording
-from hil.signals.constants import SLOW_TO_READ
+from hil.signals.constants import JITTER, PROBE
 from hil.signals.prepare import prepare
 from hil.signals.quality import assess, recording_diagnostics
 from hil.signals.source import open_sources
@@ -73,7 +73,7 @@ def inspect(given: Given, progress: Progress | None = None) -> Inspection:
     with open_sources([given]) as (source,):
         source.verify(progress)
         recording = source.recording
-        if progress is not None and len(recording) > SLOW_TO_READ:
+        if progress is not None and len(recording) > PROBE:
             progress("computing the signals", math.nan)
         signals = prepare(recording, source.table)
         intervals = np.diff(signals.motion.time)
@@ -91,7 +91,7 @@ def inspect(given: Given, progress: Progress | None = None) -> Inspection:
             samples=len(recording),
             duration=float(stamps[-1] - stamps[0]),
             rate=1.0 / float(np.median(intervals)),
-            jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99)),
+            jitter=float(np.quantile(np.abs(intervals - np.median(intervals)), JITTER)),
             lost=signals.defects.lost,
             not_numbers=signals.defects.not_numbers,
             longest_gap=float(np.diff(stamps_read).max()),

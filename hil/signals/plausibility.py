@@ -14,7 +14,7 @@ from ga.arrays import Array
 from ga.model.trajectory import Motion
 from hil import units
 from hil.diagnostics import Diagnostic
-from hil.signals.constants import ENOUGH, ODD_STIFFNESS, OVER_LIMIT, SIGN_LEFT, SIGN_SURE, TURN, UNDER_LIMIT
+from hil.signals.constants import ENOUGH, MAJORITY, OVER_LIMIT, PREFIX, SIGN_SURE, TURN
 from hil.stand.file import LimitsTable
 
 _MISTAKEN: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -59,7 +59,7 @@ def in_words(torque: Swing, deflection: Swing) -> str:
 def _range(swing: Swing, unit: str) -> str:
     size = max(abs(swing.least), abs(swing.largest))
     scale, prefix = next(
-        (pair for pair in _PREFIXES if size >= 0.9995 * pair[0]), _PREFIXES[-1] if size else _PREFIXES[0]
+        (pair for pair in _PREFIXES if float(f"{size:.3g}") >= pair[0]), _PREFIXES[-1] if size else _PREFIXES[0]
     )
     return f"{swing.least / scale + 0.0:.3g} to {swing.largest / scale + 0.0:.3g} {prefix}{unit}"
 
@@ -105,7 +105,7 @@ def negative_stiffness(motion: Motion, torque: Array) -> float | None:
     columns = columns / sizes
     values, _, rank, _ = np.linalg.lstsq(columns, rest, rcond=None)
     left = float(np.var(rest - columns @ values))
-    if rank < columns.shape[1] or left > SIGN_LEFT * float(np.var(rest)):
+    if rank < columns.shape[1] or left > MAJORITY * float(np.var(rest)):
         return None
     errors = np.sqrt(left * np.diag(np.linalg.inv(columns.T @ columns)))
     negative = values[0] < -SIGN_SURE * errors[0] and values[1] < (-SIGN_SURE if one_frequency else 1.0) * errors[1]
@@ -139,7 +139,7 @@ def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) ->
 def _likely(dimension: str, swing: Swing, limit: float) -> str:
     option = "torque" if dimension == "torque" else "dtheta"
     for unit in _MISTAKEN[dimension]:
-        if UNDER_LIMIT * limit <= swing.half / swing.factor * units.factor(dimension, unit) <= OVER_LIMIT * limit:
+        if limit / PREFIX <= swing.half / swing.factor * units.factor(dimension, unit) <= OVER_LIMIT * limit:
             return (
                 f"The readings are likely in {unit}: import them with --{option}-unit {unit}, or correct [limits] of "
                 "the stand file"
@@ -170,7 +170,7 @@ def _odd_stiffness(torque: Swing, deflection: Swing, limits: LimitsTable) -> lis
     if not (torque.half > 0.0 and deflection.half > 0.0):
         return []
     ratio = torque.half / deflection.half / expected
-    if 1.0 / ODD_STIFFNESS < ratio < ODD_STIFFNESS:
+    if 1.0 / PREFIX < ratio < PREFIX:
         return []
     message = (
         f"torque over deflection is {ratio * expected:.3g} N m/rad, {ratio:.3g} times the ratio of the stand's limits: "

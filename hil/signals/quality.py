@@ -13,7 +13,18 @@ from ga.arrays import Array
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
-from hil.signals.constants import ENOUGH, FEW_COUNTS, GAIN_ERROR, LOST_ROWS, MANY, POOR_SNR, SPARSE, SPREAD, UNSURE_AGE
+from hil.signals.constants import (
+    ENOUGH,
+    FEW_COUNTS,
+    GAIN_ERROR,
+    LOST_ROWS,
+    MANY,
+    POOR_SNR,
+    SPARSE,
+    SPREAD,
+    TICK_SHARE,
+    WINDOWS,
+)
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
@@ -264,9 +275,9 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
             is_error=True,
         )
     text += ". Only the sensor's own readings are used"
-    if one.unsure > UNSURE_AGE * one.tick:
+    if one.unsure > TICK_SHARE * one.tick:
         text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
-    if one.drifts > UNSURE_AGE * one.tick:
+    if one.drifts > TICK_SHARE * one.tick:
         text += f". Their age may change by {1e3 * one.drifts:.2g} ms during the recording, so Bc is less certain"
     text += ". Record the sensor's own readings with its own time stamps"
     return Diagnostic("slow-sensor", text, "Bc")
@@ -289,7 +300,7 @@ def _noise(signals: Signals) -> float:
     cycles = signals.band[1] * mean_step(time)
     if cycles > SPARSE:
         return _noise_beside_motion(signals)
-    half = widest(0, cycles, max(2, (len(time) - 1) // 8), GAIN_ERROR)
+    half = widest(0, cycles, max(2, (len(time) - 1) // WINDOWS), GAIN_ERROR)
     residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)
     # a window across a pause gives no value
     return SPREAD * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))

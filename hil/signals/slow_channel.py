@@ -160,7 +160,7 @@ def _is_paced(ticks: Index) -> bool:
     A reading at an even pace lasts one of two neighbouring numbers of ticks. Repeats caused by a median filter have no
     even pace.
     """
-    usual = np.minimum(ticks, 3.0 * np.median(ticks) + 6.0)  # counts that repeat at rest last longer
+    usual = np.minimum(ticks, 3.0 * (np.median(ticks) + 2.0))  # counts that repeat at rest last longer
     pace, part = float(usual.mean()), float(usual.mean()) % 1.0
     return bool(np.var(usual) < part * (1.0 - part) + (c.UNEVEN_PACE * pace) ** 2 + c.CHANCE_PACE)
 
@@ -168,7 +168,7 @@ def _is_paced(ticks: Index) -> bool:
 def _held(time: Array, values: Array) -> Readings:
     row = np.flatnonzero(np.diff(values)) + 1
     before, shown = time[row - 1], time[row]
-    row = row[(certain := shown - before <= c.LONGEST_TICK * float(np.median(np.diff(time))))]
+    row = row[(certain := shown - before <= c.MISSING * float(np.median(np.diff(time))))]
     before, shown = before[certain], shown[certain]
     at, unsure, drifts = _converted(before, shown)
     return Readings(row, at, values[row], unsure, drifts)
@@ -217,7 +217,7 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
     scale, start = float(np.ptp(number)) or 1.0, float(before[0])
     line = np.stack([np.ones(len(number)), (number - number.mean()) / scale], axis=1)
     inside, ends = np.concatenate([line[few], -line[few]]), np.concatenate([shown[few], -before[few]])
-    ends = (ends - np.repeat([start, -start], len(line[few]))) * c.MS
+    ends = (ends - np.repeat([start, -start], len(line[few]))) * 1e3  # in ms, which suit the solver's tolerances
     best = linprog([0.0, 0.0, -1.0], np.column_stack([inside, np.ones(len(inside))]), ends, bounds=(None, None)).x
     loose = ends - min(float(best[2]), 0.0) + c.ROUNDED_MS
     ranges = (
@@ -226,7 +226,7 @@ def _even(number: Array, before: Array, shown: Array) -> tuple[Array, float, flo
     )
     (low, high), (shortest, longest) = ranges
     drifts = max(longest - best[1], best[1] - shortest, 0.0)
-    return line @ best[:2] / c.MS + start, abs(float(high - low)) / c.MS, float(drifts) / c.MS
+    return line @ best[:2] / 1e3 + start, abs(float(high - low)) / 1e3, float(drifts) / 1e3
 
 
 def _bends(time: Array, values: Array) -> Array:
@@ -246,7 +246,7 @@ def _tolerance(values: Array, bends: Array, count: float) -> float:
     """
     fine = max(c.STRAIGHT * count, 1e-6 * float(np.median(np.abs(np.diff(values)))))
     rough = max(fine, c.ROUGH * float(np.quantile(bends[1:-1], c.NEARLY_ALL)))
-    return rough if float(np.mean((bends > fine) & (bends <= rough))) > c.ROUNDED_LINES else fine
+    return rough if float(np.mean((bends > fine) & (bends <= rough))) > c.SMALL_PART else fine
 
 
 def _is_joined(time: Array, values: Array, count: float) -> bool:

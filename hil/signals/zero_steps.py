@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ga.arrays import Array, Mask
+from ga.model.sticking import FULL
 from ga.model.trajectory import Motion
 from hil.signals import constants as c
 from hil.signals.angle import frozen
@@ -104,7 +105,7 @@ def _columns(position: Array, rate: Array, acceleration: Array) -> Array:
     """Return columns (n, p): hat functions of a position, for either direction, damping that may grow, inertia."""
     knots = np.unique(np.quantile(position, np.linspace(0.0, 1.0, c.CELLS_A_SIDE + 2)))
     hats = np.stack([np.interp(position, knots, one) for one in np.eye(len(knots))], axis=1)
-    direction = np.tanh(rate / (c.SOFT * float(np.sqrt(np.mean(rate**2))) or 1.0))
+    direction = np.tanh(rate / (FULL * float(np.sqrt(np.mean(rate**2))) or 1.0))
     dampers = np.stack([rate, np.maximum(rate, 0.0), acceleration, position * rate], axis=1)
     return np.concatenate([hats, hats * direction[:, None], dampers], axis=1)
 
@@ -113,7 +114,7 @@ def _orthonormal(columns: Array) -> Array:
     """Return an orthonormal basis (n, k) of columns (n, p), some of which may depend on others."""
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
     values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = values > c.EXACT * values[-1]
+    kept = values > c.ROUNDED * values[-1]
     return np.asarray(columns @ (vectors[:, kept] / np.sqrt(values[kept])))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ga.model.effects.friction import CAPSTAN, MOST_FRICTION, capstan_bounds
-from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, searched
+from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, half_decades, searched
 
 if TYPE_CHECKING:
     from ga.arrays import Array
@@ -15,8 +15,6 @@ REACHES: Final = (0.002, 0.8)
 """The smallest and the largest deflection over which friction builds up, as fractions of the range of the
 deflection.
 """
-
-_LENGTHS: Final = (0.005, 0.02, 0.06, 0.2, 0.6)  # the starting values of that deflection
 
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -60,22 +58,27 @@ def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values:
     return np.asarray(1.0 + values[0] * level * np.sign(angle + lag * motion.dtheta_dot))
 
 
-def _loaded_at_first(motion: Motion, own: Array) -> Array:
-    """Return the weight (n,) that the initial state of a piece still has at each sample, in proportion to the load.
+def _fading(motion: Motion, own: Array) -> Array:
+    """Return the weight (n,), 1 to 0, that the initial state of its piece still has at each sample.
 
-    own: the term's parameters.
+    own: the term's nonlinear parameters, the deflection over which the friction builds up last.
     """
+    return motion.fading(motion.travelled, float(own[-1]))
+
+
+def _loaded_at_first(motion: Motion, own: Array) -> Array:
+    """Return the same weight (n,), in proportion to the load."""
     import numpy as np
 
-    _, rest, reach = own
-    return np.asarray(np.abs(motion.dtheta - rest) * motion.fading(motion.travelled, float(reach)))
+    _, rest, _reach = own
+    return np.asarray(np.abs(motion.dtheta - rest) * _fading(motion, own))
 
 
 def _over(name: str, about: str, kind: Kind) -> Parameter:
     """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal.
     about: its meaning.
     """
-    return searched(name, "rad", about, kind, **SCALE, starts=_LENGTHS)
+    return searched(name, "rad", about, kind, **SCALE, starts=half_decades(5))
 
 
 _FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", "presliding friction", **STRENGTH)
@@ -89,7 +92,7 @@ DAHL: Final = Term(
     columns=_presliding,
     rates=_building_up,
     bounds=_dahl_bounds,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    forgets=_fading,
     role="friction",
     mark=Mark(
         "hysteresis",
@@ -115,7 +118,7 @@ BOUC_WEN: Final = Term(
     columns=_yielding,
     rates=_yielding_on,
     bounds=_dahl_bounds,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[0])),
+    forgets=_fading,
     role="friction",
     excludes=("coulomb", "dahl"),
     reason="coulomb is boucwen without the build-up, and dahl is another law of it",
@@ -148,7 +151,7 @@ GEAR: Final = Term(
     rates=_building_up,
     bounds=lambda m, highest: ((0.0, MOST_FRICTION), *_dahl_bounds(m, highest)),
     load=_loaded,
-    forgets=lambda m, own: m.fading(m.travelled, float(own[-1])),
+    forgets=_fading,
     role="load",
     needs="backlash",
     excludes=("coulomb", "dahl", "boucwen", "capstan", "pulley", "sheath"),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import STRENGTH, Mark, Parameter, Term, searched
+from ga.model.record import MIDDLE, STRENGTH, Mark, Parameter, Term, half_decades, searched
 
 if TYPE_CHECKING:
+    from ga.arrays import Array
     from ga.model.record import Bounds
     from ga.model.trajectory import Motion
 
@@ -28,13 +29,28 @@ def _skew_bounds(motion: Motion, highest: float) -> tuple[tuple[float, float], .
 
     filtered = TICKS_LATE * float(np.median(np.diff(motion.time))) if len(motion) > 1 else 0.0
     # beyond a quarter of the shortest period it cannot be identified
-    longest = min(max(LONGEST_SKEW, filtered), 0.25 / highest)
+    longest = min(max(LONGEST_SKEW, filtered), 1.0 / (4.0 * highest))
     return ((-longest, longest),)
 
 
 def _until(longest: float, periods: float) -> Bounds:
     """Return the bounds of a time: 0 to `periods` shortest periods of the motion, but at most `longest`, s."""
     return lambda _motion, highest: ((0.0, min(longest, periods / highest)),)
+
+
+def _lagged(motion: Motion, torque: Array, own: Array) -> Array:
+    """Return a torque (m,) or columns (m, p) of the whole motion behind a first-order lag, at the samples (n,) of the
+    motion. own (1,): the time constant, s.
+    """
+    (constant,), (whole, rows) = own.tolist(), motion.whole
+    return whole.lagged(torque, constant)[rows]
+
+
+def settling(motion: Motion, own: Array) -> Array:
+    """Return the weight (n,), 1 to 0, that the initial state of its piece still has at each sample. own (1,): the time
+    constant, s.
+    """
+    return motion.fading(motion.elapsed, *own.tolist())
 
 
 OFFSET: Final = Term(
@@ -71,11 +87,7 @@ DRIFT: Final = Term(
 SKEW: Final = Term(
     "skew",
     "a torque reading older than the angle's",
-    (
-        searched(
-            "skew", "s", "age of the torque reading less the angle's", "delay", starts=(0.25, 0.5, 0.75), refined=True
-        ),
-    ),
+    (searched("skew", "s", "age of the torque reading less the angle's", "delay", starts=MIDDLE, refined=True),),
     bounds=_skew_bounds,
     delays=True,
     selection="considered",
@@ -92,10 +104,10 @@ SKEW: Final = Term(
 LAG: Final = Term(
     "lag",
     "a torque cell that follows with a first-order lag",
-    (searched("lag", "s", "time constant of the torque cell", "lag time", **STRENGTH, starts=(0.02, 0.1, 0.3, 0.6)),),
+    (searched("lag", "s", "time constant of the torque cell", "lag time", **STRENGTH, starts=half_decades(4)),),
     bounds=_until(LONGEST_LAG, 0.5),  # behind a longer one the damping cannot be identified
-    cell=lambda m, torque, own: m.whole[0].lagged(torque, float(own[0]))[m.whole[1]],
-    forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
+    cell=_lagged,
+    forgets=settling,
     role="channel",
     mark=Mark(
         "sensor-lag",
@@ -117,11 +129,11 @@ MEAN: Final = Term(
             "time over which a torque reading is the mean, half before and half after; its delay is the skew",
             "mean time",
             **STRENGTH,
-            starts=(0.1, 0.3, 0.6),
+            starts=half_decades(3),
         ),
     ),
     bounds=_until(LONGEST_MEAN, 0.7),  # a sine is lost in its mean over a period
-    cell=lambda m, torque, own: m.averaged(torque, float(own[0])),
+    cell=lambda m, torque, own: m.averaged(torque, *own.tolist()),
     excludes=("lag",),
     role="channel",
     reason="lag and mean are two accounts of the torque cell's filter",

@@ -5,13 +5,15 @@ Kc is the relaxed stiffness: with Maxwell branches, the stiffness that remains l
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from math import prod
+from typing import TYPE_CHECKING, Any, Final
 
 from ga.model.effects.gaps import GAPS, extent
-from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, searched
+from ga.model.effects.sensors import settling
+from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, half_decades, searched
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from ga.arrays import Array
     from ga.model.trajectory import Motion
@@ -36,8 +38,6 @@ SHORTEST_RELAXATION: Final = 0.02
 equals a damping.
 """
 
-_TIMES: Final = (0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6)  # the starting values of a relaxation time
-
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
 
@@ -58,25 +58,50 @@ def _furthest(motion: Motion) -> float:
     return max(abs(least), abs(least + span))
 
 
-def _risen(angle: Array, exponent: float) -> Array:
+def _of_power(degree: int) -> dict[str, Any]:
+    """Return how the torque of a spring in proportion to a power of the deflection is computed, as keywords of its
+    term.
+    """
+
+    def raised(angle: Array, power: int) -> Array:
+        import numpy as np
+
+        squares = [angle**2] * (power // 2)  # a cube takes thirty times as long as a square
+        return np.asarray(prod([*squares, angle] if power % 2 else squares))
+
+    def pushed(regressors: Regressors, genes: Array, moved: Array) -> Array:
+        found: Array = degree * genes[0] * raised(regressors.angle, degree - 1) * moved
+        return found
+
+    return {"columns": lambda r: (raised(r.angle, degree),), "pushed": pushed}
+
+
+def _rising(rise: Callable[[Regressors], Array]) -> Callable[[Regressors, Array, Array], Array]:
+    """Return `pushed` of a stiffness that rises by twice the parameter times `rise`, rad."""
+    return lambda regressors, genes, moved: 2.0 * genes[0] * rise(regressors) * moved
+
+
+def _risen(angle: Array, own: Array) -> Array:
     """Return the rise of an exponential stiffness per unit: (e^u - 1)/exponent, rad, with u = exponent x angle, at
-    angles (n,), rad.
+    angles (n,), rad. own (1,): the exponent, 1/rad.
     """
     import numpy as np
 
+    (exponent,) = own.tolist()
     return angle if exponent == 0.0 else np.expm1(exponent * angle) / exponent
 
 
-def _lifted(angle: Array, exponent: float) -> Array:
+def _lifted(angle: Array, own: Array) -> Array:
     """Return the torque of an exponential stiffness per unit: 2 (e^u - 1 - u)/exponent^2 (n,), rad^2, which is angle^2
-    for small u.
+    for small u = exponent x angle. own (1,): the exponent, 1/rad.
     """
     import numpy as np
 
+    (exponent,) = own.tolist()
     stretch = exponent * angle
     small = np.abs(stretch) < _SMALL_STRETCH
     whole = np.where(small, 1.0, stretch)
-    ratio = np.where(small, 1.0 + stretch / 3.0 + stretch**2 / 12.0, 2.0 * (np.expm1(whole) - whole) / whole**2)
+    ratio = np.where(small, 1.0 + stretch / 3.0 * (1.0 + stretch / 4.0), 2.0 * (np.expm1(whole) - whole) / whole**2)
     return np.asarray(ratio * angle**2)
 
 
@@ -84,11 +109,16 @@ def _exponential(regressors: Regressors) -> tuple[Array, ...]:
     import numpy as np
 
     angle = regressors.angle
-    return (np.sign(angle) * _lifted(np.abs(angle), float(regressors.own[0])),)
+    return (np.sign(angle) * _lifted(np.abs(angle), regressors.own),)
 
 
-def _cubed(motion: Motion, columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
-    return columns[LINEAR.parameters[0]] * motion.dtheta**2
+def _times_square(parameter: Parameter) -> Callable[..., Array]:
+    """Return the deviation of a spring by a power two higher than that of the column of a parameter."""
+
+    def deviation(motion: Motion, columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
+        return columns[parameter] * motion.dtheta**2
+
+    return deviation
 
 
 def _gapped(motion: Motion, _columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
@@ -101,7 +131,7 @@ def _gapped(motion: Motion, _columns: Mapping[Parameter, Array], _values: Mappin
 def _turning(regressors: Regressors, changing: Motion) -> tuple[Array, ...]:
     import numpy as np
 
-    return (np.sign(regressors.angle - regressors.own[0]) * changing.dtheta * regressors.contact,)
+    return (np.sign(regressors.angle - regressors.own) * changing.dtheta * regressors.contact,)
 
 
 def _unrelaxed(regressors: Regressors, values: Array) -> Array:
@@ -136,14 +166,14 @@ def _branch(number: int, needs: str, example: str) -> Term:
                 absent=None,
                 positive=True,
                 open_ended=True,
-                starts=_TIMES,
+                starts=half_decades(8),
             ),
         ),
         columns=lambda r: (_unrelaxed(r, r.angle),),
         rates=_relaxing,
         pushed=lambda r, genes, moved: genes[0] * _unrelaxed(r, moved),
         bounds=_relaxation_bounds,
-        forgets=lambda m, own: m.fading(m.elapsed, float(own[0])),
+        forgets=settling,
         role="branch",
         mark=None if needs else _VISCOELASTIC,
         needs=needs,
@@ -153,11 +183,14 @@ def _branch(number: int, needs: str, example: str) -> Term:
     )
 
 
+_KC: Final = Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True)
+_K5: Final = Parameter("K5", "N*m/rad^5", "quintic stiffness", presence=True)
+
 LINEAR: Final = Term(
     "linear",
     "a spring Kc and a damper Bc in parallel",
     (
-        Parameter("Kc", "N*m/rad", "stiffness of the coupling", positive=True),
+        _KC,
         Parameter("Bc", "N*m*s/rad", "damping of the coupling", "damping", positive=True),
     ),
     columns=lambda r: (r.angle, r.motion.dtheta_dot * r.contact),
@@ -174,8 +207,7 @@ CUBIC: Final = Term(
     "cubic",
     "a spring that stiffens",
     (Parameter("K3", "N*m/rad^3", "cubic stiffness", presence=True),),
-    columns=lambda r: (r.angle**2 * r.angle,),  # a cube takes thirty times as long as a square
-    pushed=lambda r, genes, moved: 3.0 * genes[0] * r.angle**2 * moved,
+    **_of_power(3),
     deviation=_gapped,
     confusable=GAPS,
     selection="considered",
@@ -185,15 +217,14 @@ CUBIC: Final = Term(
     equation="K3*x^3",
 )
 
-QUINTIC: Final[Term] = Term(
+QUINTIC: Final = Term(
     "quintic",
     "a spring that stiffens other than by a cubic",
-    (Parameter("K5", "N*m/rad^5", "quintic stiffness", presence=True),),
-    columns=lambda r: (r.angle**2 * r.angle**2 * r.angle,),
-    pushed=lambda r, genes, moved: 5.0 * genes[0] * r.angle**2 * r.angle**2 * moved,
+    (_K5,),
+    **_of_power(5),
     needs="cubic",
     role="curve",
-    deviation=lambda m, columns, _values: columns[QUINTIC.parameters[0]] * m.dtheta**2,
+    deviation=_times_square(_K5),
     example="K5 2, 10, 40 % of torque",
     equation="K5*x^5",
 )
@@ -211,7 +242,7 @@ ASYMMETRIC: Final = Term(
         Parameter("Ka", "N*m/rad", "half the difference of the two; Kc is their mean", "side stiffness", presence=True),
         searched("turn", "rad", "deflection at which the stiffness changes", "side place", absent=None),
     ),
-    columns=lambda r: (abs(r.angle - r.own[0]),),
+    columns=lambda r: (abs(r.angle - r.own),),
     rates=_turning,
     bounds=_turn_bounds,
     role="curve",
@@ -228,8 +259,7 @@ PROGRESSIVE: Final = Term(
     "progressive",
     "a stiffness that rises steadily in one direction",
     (Parameter("Kp", "N*m/rad^2", "half of what the stiffness rises by in a radian", presence=True),),
-    columns=lambda r: (r.angle**2,),
-    pushed=lambda r, genes, moved: 2.0 * genes[0] * r.angle * moved,
+    **_of_power(2),
     role="curve",
     mark=_ASYMMETRY,
     needs="offset",
@@ -244,7 +274,7 @@ HARDENING: Final = Term(
     "a stiffness that rises steadily in both directions",
     (_RISE,),
     columns=lambda r: (r.angle * abs(r.angle),),
-    pushed=lambda r, genes, moved: 2.0 * genes[0] * abs(r.angle) * moved,
+    pushed=_rising(lambda r: abs(r.angle)),
     role="curve",
     seldom=True,  # it has a kink where the joint is unloaded
     example="Kh 2, 10, 40 % of torque",
@@ -260,10 +290,10 @@ EXPONENTIAL: Final = Term(
     "a stiffness that rises exponentially in both directions",
     (_RISE, _EXPONENT),
     columns=_exponential,
-    pushed=lambda r, genes, moved: 2.0 * genes[0] * _risen(abs(r.angle), float(r.own[0])) * moved,
+    pushed=_rising(lambda r: _risen(abs(r.angle), r.own)),
     bounds=lambda m, _highest: ((0.0, STEEPEST / _furthest(m)),),
     role="curve",
-    deviation=_cubed,
+    deviation=_times_square(_KC),
     excludes=_POWERS,
     reason=_REASON,
     example="Kh 5, 20, 80 % of torque; exponent 4 1/rad",
@@ -273,12 +303,12 @@ EXPONENTIAL: Final = Term(
 TOE: Final = Term(
     "toe",
     "a stiffness that rises exponentially in one direction, as that of a tendon at first",
-    (PROGRESSIVE.parameters[0], _EXPONENT),
-    columns=lambda r: (_lifted(r.angle, float(r.own[0])),),
-    pushed=lambda r, genes, moved: 2.0 * genes[0] * _risen(r.angle, float(r.own[0])) * moved,
+    (*PROGRESSIVE.parameters, _EXPONENT),
+    columns=lambda r: (_lifted(r.angle, r.own),),
+    pushed=_rising(lambda r: _risen(r.angle, r.own)),
     bounds=lambda m, _highest: ((-STEEPEST / _furthest(m), STEEPEST / _furthest(m)),),
     role="curve",
-    deviation=_cubed,
+    deviation=_times_square(_KC),
     needs="offset",
     excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,
@@ -291,7 +321,7 @@ SOFTENING: Final = Term(
     "a stiffness that drifts in time",
     (Parameter("Ks", "N*m/rad/s", "change of the stiffness in a second; Kc is its mean", presence=True),),
     columns=lambda r: ((r.time - r.middle) * r.angle,),
-    pushed=lambda r, genes, moved: genes[0] * (r.time - r.middle) * moved,
+    pushed=lambda r, genes, moved: genes * (r.time - r.middle) * moved,
     role="change",
     repeats=True,
     mark=Mark(

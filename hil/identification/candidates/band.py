@@ -42,7 +42,7 @@ class Band:
         """Return the band of the samples in `seen` (n,), not whitened."""
         motion, highest = signals.motion, _highest(signals)
         clear = seen & signals.smooth
-        used = clear if c.CERTAIN_RATES[0] < clear.mean() < c.CERTAIN_RATES[1] else seen
+        used = clear if c.CERTAIN_RATES < clear.mean() < c.NEARLY_ALL else seen
         first = motion.time[motion.pieces[0]]
         low_pass = low_pass_for(first, highest, c.BAND_NEIGHBOURS) if used.all() and len(first) > c.FEWEST else None
         if low_pass is not None:
@@ -50,7 +50,7 @@ class Band:
             every = max(1, int(0.5 / (low_pass.cut * low_pass.step)))
             if np.count_nonzero(sound[::every]) >= c.ROWS_A_WEIGHT:
                 return cls._at(signals, sound, low_pass, every)
-        return cls._at(signals, used, None, max(1, len(motion) // c.UNFILTERED_ROWS))
+        return cls._at(signals, used, None, max(1, len(motion) // c.CURVE_ROWS))
 
     @classmethod
     def _at(cls, signals: Signals, used: Mask, low_pass: LowPass | None, every: int) -> Band:

@@ -16,6 +16,7 @@ import numpy as np
 from ga.arrays import Array
 from ga.model.coupling import CouplingModel, lag_of
 from ga.model.record import positive_among
+from ga.model.separable import HALVINGS, STEPS
 from ga.model.terms import TERMS
 from hil.identification.candidates.band import Band
 from hil.identification.candidates.catalogue import model_of
@@ -89,7 +90,7 @@ class BandFits:
         while True:
             free = (term for term in fit.terms if is_complete([one for one in fit.terms if one != term]))
             tried = [(self._without(fit, term), term) for term in free]
-            likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - c.GRID_LOSS]
+            likely = [term for score, term in sorted(tried, reverse=True) if score > fit.score - c.STRONG]
             smaller = (self.fit(tuple(one for one in fit.terms if one != term), fit.values) for term in likely)
             better = next((one for one in smaller if one.score >= fit.score), None)
             if better is None:
@@ -104,7 +105,7 @@ class BandFits:
             pushing = self._solved(model, best.nonlinear, lag_of(*best.genes[:2]))
             best = min(pushing, best, key=_square) if model.chooses_edge else pushing
         jacobian = np.empty((0, len(best.target)))
-        for _ in range(c.NEWTON_STEPS if len(low) else 0):
+        for _ in range(STEPS if len(low) else 0):
             jacobian = self._jacobian(best)
             better = self._stepped(best, jacobian, (low, high))
             if better is None:
@@ -135,7 +136,7 @@ class BandFits:
         model, columns = best.model, np.concatenate([best.columns, jacobian])
         target = best.target + best.nonlinear @ jacobian
         step = _least_squares(columns, target, positive_among(model.linear))[len(model.linear) :] - best.nonlinear
-        for halving in range(c.HALVINGS):
+        for halving in range(HALVINGS):
             nonlinear = np.clip(best.nonlinear + step * 0.5**halving, *bounds)
             if np.array_equal(nonlinear, best.nonlinear):
                 return None

@@ -162,7 +162,7 @@ class Catalogue:
             if term.forgets is not None:
                 own = np.array([values[one.name] for one in term.parameters if one.nonlinear])
                 left = term.forgets(self._whole, own)
-                found += [left] if left[self._places][self.band.rows].max(initial=0.0) > c.FORGOTTEN_STATE else []
+                found += [left] if left[self._places][self.band.rows].max(initial=0.0) > c.NEGLIGIBLE else []
         return found
 
     def _added(self, columns: Sequence[Array]) -> tuple[int, ...]:
@@ -201,7 +201,7 @@ def _gridded_with(term: Term, considered: Sequence[str]) -> list[tuple[str, ...]
 def _grid(parameter: Parameter, low: float, high: float, *, few: bool) -> list[tuple[int, float]]:
     """Return the grid of a parameter: indices and values. few: whether an unloaded deflection gets only one value."""
     if parameter.kind == "load share":
-        return [(0, min(c.TRIED_SHARE, high))]
+        return [(0, min(c.LITTLE_FRICTION, high))]
     starts = [0.5] if few and parameter.kind == "unloaded place" else list(parameter.starts)
     values = [(place, low + part * (high - low)) for place, part in enumerate(starts)]
     return [one for one in values if one[1] != parameter.absent] or values
@@ -214,4 +214,4 @@ def _are_ordered(terms: Iterable[str], values: Mapping[str, float]) -> bool:
 
 
 def _is_near(one: Mapping[str, float], other: Mapping[str, float]) -> bool:
-    return all(abs(one[name] - other[name]) <= c.SAME_VALUE * abs(other[name]) for name in one)
+    return all(abs(one[name] - other[name]) <= c.SAME * abs(other[name]) for name in one)

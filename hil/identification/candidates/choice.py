@@ -174,7 +174,7 @@ def _describes_slow(whole: Selection, friction: Choice, signals: Signals, seen: 
     slow = ~friction.moving(signals.motion)[seen]
     values = whole.chosen.values
     loaded = size_of(values, "load share") * float(np.mean(np.abs(signals.torque)))
-    little = c.OF_FRICTION * (size_of(values, "dry friction") + loaded)
+    little = c.SMALL_PART * (size_of(values, "dry friction") + loaded)
     return not whole.model.sticks and not _are_worse(slow, motion, whole.chosen.residuals, little)
 
 
@@ -197,7 +197,7 @@ def _are_worse(slow: Mask, motion: Motion, residuals: Array, little: float = 0.0
     if described.all() or np.count_nonzero(described) < c.FEWEST:  # too few to fit a model to
         return False
     left, rate = np.abs(residuals), np.abs(motion.dtheta_dot)
-    decade = np.floor(np.log10(np.maximum(rate, c.NO_RATE * max(float(rate.max()), np.finfo(float).tiny))))
+    decade = np.floor(np.log10(np.maximum(rate, c.ROUNDED * max(float(rate.max()), np.finfo(float).tiny))))
     held = [left[~described & (decade == one)] for one in np.unique(decade[~described]).tolist()]
     worst = max([left[~described], *(some for some in held if len(some) >= c.KNOWN_MEAN)], key=np.mean)
     return bool(worst.mean() > max(c.STICKING * left[described].mean(), little))

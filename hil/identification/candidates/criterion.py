@@ -45,7 +45,7 @@ class Criterion:
 
     def pays(self, smaller: Candidate, larger: Candidate, term: str, enough: float = 0.0) -> bool:
         """Return whether `term`, which only the larger model has, improves the score by more than `enough`."""
-        if smaller.fit.fitness < c.EXPLAINED * self.size:
+        if smaller.fit.fitness < c.GAIN_ERROR * self.size:
             return False
         if larger.is_at_end(term) or larger.is_impossible(term) or not _is_distinct(larger, term):
             return False
@@ -54,10 +54,10 @@ class Criterion:
         record = TERMS[term]
         doubted = record.breaks or record.selection in {"misfit", "motor torque"}
         doubted |= any(other in larger.terms for other in record.confusable)
-        enough += c.STRONG if doubted else 0.0
+        enough += c.VERY_STRONG if doubted else 0.0
         if min(self.gain(smaller, larger, term), self._gain_where_smooth(smaller, larger, term)) <= enough:
             return False
-        return predicts_better(larger, smaller) >= (c.BETTER if doubted else -c.WORSE)
+        return predicts_better(larger, smaller) >= (c.BETTER if doubted else -c.CLEARLY)
 
     def gain(self, smaller: Candidate, larger: Candidate, term: str) -> float:
         """Return the gain beyond chance of `term`, which only the larger model has."""
@@ -119,7 +119,7 @@ def by_rate(count: int, density: float, size: float) -> float:
 
     density: that of the residuals at zero, 1/(N m). size: mean |torque|, N m.
     """
-    return count * (2.0 * density * c.EXPLAINED * size) ** 2
+    return count * (2.0 * density * c.GAIN_ERROR * size) ** 2
 
 
 def density_at_zero(residuals: Array, least: float) -> float:

@@ -97,7 +97,7 @@ class Candidate:
     def is_at_end(self, term: str) -> bool:
         """Return whether a parameter of the term reached an end of its bounds: then the data reject the term."""
         problem, values = self.problem, self.fit.nonlinear
-        near = c.AT_END * (problem.high - problem.low)
+        near = c.RESOLVED * (problem.high - problem.low)
         open_ended = np.array([parameter.open_ended for parameter in self.model.nonlinear], dtype=bool)
         ends = (values <= problem.low + near) | ((values >= problem.high - near) & ~open_ended)
         return any(end and p.name in own(term) for end, p in zip(ends, self.model.nonlinear, strict=True))

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ga.arrays import Array
-from hil.signals.constants import BAND_WIDTH, DEPENDENT, EXPONENTS, FEWEST_LINES, SEGMENT
+from hil.signals.constants import BAND_WIDTH, DEPENDENT, EXPONENTS, FEWEST_LINES, ROWS_AT_ONCE
 
 _SLOW, _NEXT = (
     np.maximum(np.arange(FEWEST_LINES), 1),
@@ -151,14 +151,14 @@ def _edges(count: int) -> tuple[Array, int]:
 
 
 def _segments(blocks: Iterable[tuple[Array, Array]]) -> Iterator[tuple[Array, Array]]:
-    """Yield the rows in segments of `SEGMENT` rows; the last segment may be shorter."""
+    """Yield the rows in segments of `ROWS_AT_ONCE` rows; the last segment may be shorter."""
     waiting: list[tuple[Array, Array]] = []
     for block in blocks:
         waiting.append(block)
-        while sum(len(signs) for _, signs in waiting) >= SEGMENT:
+        while sum(len(signs) for _, signs in waiting) >= ROWS_AT_ONCE:
             columns, signs = (np.concatenate(parts) for parts in zip(*waiting, strict=True))
-            yield columns[:SEGMENT], signs[:SEGMENT]
-            waiting = [(columns[SEGMENT:], signs[SEGMENT:])]
+            yield columns[:ROWS_AT_ONCE], signs[:ROWS_AT_ONCE]
+            waiting = [(columns[ROWS_AT_ONCE:], signs[ROWS_AT_ONCE:])]
     columns, signs = (np.concatenate(parts) for parts in zip(*waiting, strict=True))
     if len(signs):
         yield columns, signs

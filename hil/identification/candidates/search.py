@@ -39,7 +39,7 @@ class Score:
         besides those of the smallest model.
         """
         samples = self.count / self.spread
-        left = np.maximum(square, 0.0) / self.count + c.MODEL_ERROR**2
+        left = np.maximum(square, 0.0) / self.count + c.ACCURATE**2
         return np.asarray(-samples * np.log(left) - np.asarray(parameters) * math.log(max(samples, math.e)))
 
     @classmethod
@@ -50,13 +50,13 @@ class Score:
         would. The spread is the ratio of the two variances.
         """
         table = table / (np.sqrt((table**2).mean(axis=1, keepdims=True)) + np.finfo(float).tiny)
-        parts = np.array_split(table * residuals, c.SEARCH_BLOCKS, axis=1)
+        parts = np.array_split(table * residuals, c.BLOCKS, axis=1)
         scores = np.array([part.sum(axis=1) for part in parts])
         scores -= scores.mean(axis=0)
         power = float(residuals @ residuals) / len(residuals)
         inverse = np.linalg.pinv(table @ table.T, rcond=1e-9, hermitian=True)
         varied = float(np.trace(inverse @ scores.T @ scores)) / (len(table) * max(power, np.finfo(float).tiny))
-        return cls(len(residuals), max(1.0, varied * c.SEARCH_BLOCKS / (c.SEARCH_BLOCKS - 1)))
+        return cls(len(residuals), max(1.0, varied * c.BLOCKS / (c.BLOCKS - 1)))
 
 
 def odds(terms: Iterable[str]) -> float:
@@ -67,8 +67,9 @@ def odds(terms: Iterable[str]) -> float:
 def _chance(record: Term) -> float:
     if record.bench == "always":
         return 1.0
-    usual = c.PRIOR_SELDOM if record.seldom else c.PRIOR[record.selection]
-    return min(usual, c.PRIOR_BREAKING) if record.breaks else usual
+    if record.seldom or record.breaks:
+        return c.SELDOM
+    return c.COMMON if record.selection == "considered" else c.RARE
 
 
 class PointSearch:
@@ -191,12 +192,12 @@ class PointSearch:
 
     def showing(self) -> list[Points]:
         """Return candidates of one point: the best of each term that has nonlinear parameters and may help alone."""
-        likely = self._best_of_kinds(self.beside(()), self.rated(()) + c.GRID_LOSS, 1)
+        likely = self._best_of_kinds(self.beside(()), self.rated(()) + c.STRONG, 1)
         return [(number,) for number in likely if self.points[number].values]
 
     def _neighbours(self, candidate: Points, best: float) -> Iterator[Points]:
         """Yield the candidates with one point more, one point less, or one point replaced by another."""
-        least = best - c.OCCAM - c.GRID_LOSS
+        least = best - c.OCCAM - c.STRONG
         for number in self._best_of_kinds(self.beside(candidate), least, c.GRID_POINTS):
             yield _with(candidate, number)
         for number in candidate:

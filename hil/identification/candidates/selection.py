@@ -131,7 +131,7 @@ class Beside:
 def _least(term: str) -> float:
     """Return the gain that a term must have to stay: a skew, which every recorder has, goes on strong evidence only."""
     record = TERMS[term]
-    return -c.STRONG if record.bench == "always" and record.selection != "smallest" else 0.0
+    return -c.VERY_STRONG if record.bench == "always" and record.selection != "smallest" else 0.0
 
 
 def _step(fitted: Candidate, weighed: tuple[float, float], *, included: bool) -> Step:

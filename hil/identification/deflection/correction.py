@@ -19,7 +19,7 @@ from hil.identification.deflection.fitted import Fitted, sampled
 from hil.identification.deflection.instruments import by_command
 from hil.identification.deflection.rounding import rounded_at_rest
 from hil.identification.deflection.simulation import is_in_step, simulated_change
-from hil.signals.constants import COUPLING, FEWEST, LOOKED, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND, WHITE_COUNTS
+from hil.signals.constants import COUPLING, ENOUGH, FEW_COUNTS, FEWEST, NO_ERROR, SHORTEST_BLOCK, WEAK_COMMAND
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.prepare import Signals
 
@@ -78,7 +78,7 @@ def read_with_errors(
             decisive=tuple(places),
             window=window,
             command=signals.command if motion.part_of is None else None,
-            torque_count=smallest_step(signals.as_read[:LOOKED]),
+            torque_count=smallest_step(signals.as_read[:ENOUGH]),
         )
     )
 
@@ -94,7 +94,7 @@ def deflection_errors(fitted: Fitted) -> DeflectionErrors:
     if np.count_nonzero(sound) < FEWEST * SHORTEST_BLOCK or not _disturbed(part):
         return found
     simulated, spread = simulated_change(part, sound)
-    if counts < WHITE_COUNTS or (window.count and is_in_step(part, sound, spread)):
+    if counts < 2.0 * FEW_COUNTS or (window.count and is_in_step(part, sound, spread)):
         rounded = np.maximum(rounded, spread)
     found = replace(found, predicted=simulated.values, half_width=rounded)
     instruments = by_command(part, sound)

@@ -28,7 +28,7 @@ def of_jerk(motion: Motion) -> Array:
     acceleration is w^2 h dc/dt, with the time step h and dc/dt = v + 2 z/w a + j/w^2. The true rate is therefore lower
     by h^2/12 (w^2 v + 2 z w a + j), of which only the last part is known.
     """
-    return c.TWELFTH * motion.step**2 * motion.changing(0.0).dtheta_ddot
+    return c.ROUNDING**2 * motion.step**2 * motion.changing(0.0).dtheta_ddot
 
 
 def taken_off(motion: Motion) -> Array:
@@ -37,9 +37,9 @@ def taken_off(motion: Motion) -> Array:
 
     The difference is that of `of_jerk`.
     """
-    speed = min(2.0 * np.pi * c.USUAL_DRIVE * motion.step, (c.TAKEN_OFF / c.TWELFTH) ** 0.5)  # w h
-    of_acceleration = 2.0 * c.TWELFTH * c.DRIVE_DAMPING * speed * motion.step
-    found = c.TWELFTH * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
+    speed = min(2.0 * np.pi * c.USUAL_DRIVE * motion.step, (c.TAKEN_OFF / c.ROUNDING**2) ** 0.5)  # w h
+    of_acceleration = 2.0 * c.ROUNDING**2 * c.DRIVE_DAMPING * speed * motion.step
+    found = c.ROUNDING**2 * speed**2 * motion.dtheta_dot + of_acceleration * motion.dtheta_ddot + of_jerk(motion)
     return np.asarray(found)
 
 
@@ -62,7 +62,7 @@ def most_taken_off(signals: Signals) -> float:
     held = 0.5 * (command + np.append(command[:1], command[:-1]))[sound]
     found = np.linalg.lstsq(columns - columns.mean(axis=0), held - held.mean(), rcond=None)[0]
     is_behind = bool((found[0] * found[1:] > 0.0).all())
-    return float(min(c.TWELFTH * motion.step**2 * found[0] / found[2], 1.0)) if is_behind else 0.0
+    return float(min(c.ROUNDING**2 * motion.step**2 * found[0] / found[2], 1.0)) if is_behind else 0.0
 
 
 def damping_at(rate: Array, values: Mapping[str, float]) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 from ga.arrays import Array, Mask
 from hil.identification.candidates.residual_spectrum import ResidualSpectrum, measure
 from hil.identification.fitting.blocks import Blocks
-from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, SPREAD, TAKES_PART, UPPER
+from hil.signals.constants import DEPENDENT, ENOUGH, LEAST_ROUNDING, MOST, SPREAD, TAKES_PART, UPPER
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,13 +149,14 @@ def _second_pass(blocks: Blocks, genes: Array, sums: _Sums) -> tuple[Array, Resi
 def _kernel_width(sums: _Sums) -> float:
     """Return the residual, N m, up to which a residual is near zero: the bandwidth of Bofinger (1975) for the median.
 
-    In quantiles the bandwidth is n^(-1/5) (4.5 phi(0)^4)^(1/5), which minimises the mean square error of the density;
+    In quantiles the bandwidth is n^(-1/5) (9/2 phi(0)^4)^(1/5), which minimises the mean square error of the density;
     parameters that few rows determine need this bandwidth. At least a hundred rows are always near zero.
     """
     from scipy.special import ndtri
 
     residuals, count = sums.residuals, sums.count
-    sigma = min(float(np.std(residuals)), 0.5 * SPREAD * float(np.subtract(*np.quantile(residuals, [0.75, 0.25]))))
-    share = count ** (-1 / 5) * (4.5 / (2.0 * np.pi) ** 2) ** (1 / 5)
+    lower, upper = (float(one) for one in np.quantile(residuals, [1.0 / 4.0, 3.0 / 4.0]))
+    sigma = min(float(np.std(residuals)), 0.5 * SPREAD * (upper - lower))
+    share = count ** (-1 / 5) * (0.5 * (3.0 / (2.0 * np.pi)) ** 2) ** (1 / 5)
     fewest = float(np.quantile(np.abs(residuals), min(1.0, 100.0 / count)))
-    return max(sigma * float(ndtri(0.5 + min(share, 0.45))), fewest, sums.rounding)
+    return max(sigma * float(ndtri(0.5 + min(share, 0.5 * MOST))), fewest, sums.rounding)

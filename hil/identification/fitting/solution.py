@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 
@@ -142,9 +143,11 @@ def _search(data: Dataset, reduced: Reduced, bounds: Bounds, search: Search, pro
     trials, workers, settings = search.trials or c.TRIALS, search.workers, search.settings
     if progress is not None and settings.scheme == "steady-state" and settings.generations >= c.LONG_SEARCH:
         seconds = duration(columns, torque, bounds, settings, trials=trials, workers=workers)
-        words = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} minutes"
         count = f"{trials * settings.generations:,} evaluations"
-        progress(f"searching with {count}: about {words}; Ctrl-C ends it and keeps its result", math.nan)
+        progress(
+            f"searching with {count}: about {timedelta(seconds=round(seconds))} h; Ctrl-C ends it and keeps its result",
+            math.nan,
+        )
     try:
         found = run_trials(
             columns,

@@ -62,7 +62,7 @@ class Unloaded:
         """
         if self.low == self.high == 0.0 or of_kind(values, "gap width", "slack end", "unloaded place"):
             return None
-        place = np.append(np.linspace(self.low, self.high, 101), min(max(self.low, 0.0), self.high))
+        place = np.append(np.linspace(self.low, self.high, c.CURVE_POINTS), min(max(self.low, 0.0), self.high))
         rise = sum((_stiffening(term, values, place) for term in terms if term.role == "curve"), np.zeros(len(place)))
         if not rise.any():
             return None
@@ -150,7 +150,7 @@ def _agreeing(curve: _Curve, encoder: float | None, balance: float | None) -> li
     if encoder is not None and curve.imbalance(encoder) <= curve.limit:
         return places
     against = [curve.asymmetry(place) for place in places]
-    most = min(curve.limit, min(against, default=0.0) - c.EVIDENCE_AGAINST)
+    most = min(curve.limit, min(against, default=0.0) + c.STRONG)
     return [place for place, gain in zip(places, against, strict=True) if gain <= most]
 
 
@@ -179,12 +179,12 @@ class _Curve:
     def asymmetry(self, place: float) -> float:
         """Return the evidence that the torque on the two sides of a deflection, rad, is not antisymmetric.
 
-        It uses the motion that exists on both sides, at least an eighth of it; infinite outside the motion.
+        It uses the motion that exists on both sides, at least LEAST_SIDE of it; infinite outside the motion.
         """
         low, high = self.domain
         if not low < place < high:
             return math.inf
-        reach = max(min(place - low, high - place), (high - low) / 8.0)
+        reach = max(min(place - low, high - place), c.LEAST_SIDE * (high - low))
         return self._evidence(self._series(place + reach) + self._series(place - reach) - 2.0 * self._series(place))
 
     def _series(self, place: float) -> Array:
@@ -225,5 +225,5 @@ def _fitted(signals: Signals, degree: int) -> _Curve:
     if not found.distinct[: degree + 1].all():
         raise RuntimeError("the motion does not separate stiffness from damping and friction")
     own = slice(degree + 1)
-    limit = math.log(len(torque)) - c.EVIDENCE_AGAINST
+    limit = math.log(len(torque)) + c.STRONG
     return _Curve(values[own], found.matrix[own, own], ends, float(np.ptp(torque)), limit)

@@ -24,7 +24,7 @@ def validated(data: Dataset, blocks: Blocks, values: Array, distinct: Mask) -> V
     """
 
     def is_out(number: Index) -> Mask:
-        return np.asarray(number * c.FOLDS // data.samples % 5 == 2)
+        return np.asarray(number * c.FOLDS // data.samples % (c.FOLDS // 2) == 2)
 
     def is_in(number: Index) -> Mask:
         return ~is_out(number)

@@ -138,7 +138,7 @@ def _lacking_at_jumps(described: Described) -> Lacking | None:
     signals, model = described.signals, described.model
     if not isinstance(model, CouplingModel) or model.sticks or of_kind(described.names, "moment of inertia"):
         return None
-    if signals.rate_known.all() and tested_motion(described) > c.MOVES:
+    if signals.rate_known.all() and tested_motion(described) > c.MAJORITY:
         return None
     genes, nonlinear = np.split(described.values, [len(model.linear)])
     columns = described.linearised(signals.motion)[:, : len(genes)]
@@ -209,7 +209,7 @@ def _without_errors(signals: Signals) -> Motion:
     sound = window.sound(signals.motion.time)
     motion = followed(signals.motion, window, command, sound)
     left = float(np.var((motion.dtheta - signals.motion.dtheta)[sound]))
-    return motion if left < c.NOT_FROM_COMMAND * float(np.var(signals.motion.dtheta)) else signals.motion
+    return motion if left < c.SMALL_PART * float(np.var(signals.motion.dtheta)) else signals.motion
 
 
 def _of_every_bench(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
@@ -243,7 +243,7 @@ def _is_small(described: Described, residuals: Array, columns: Array, effect: Ar
     rows = slice(None, None, max(1, len(residuals) // c.TESTED))
     both = np.concatenate([columns[rows], effect[rows] * described.kept[rows, None]], axis=1)
     changes = np.linalg.lstsq(both, residuals[rows], rcond=None)[0]
-    left = dict(zip(described.names, (changes[:-1] + (1.0 - c.LEFT_BY_SMALL) * described.values).tolist(), strict=True))
+    left = dict(zip(described.names, (changes[:-1] + (1.0 - c.MAJORITY) * described.values).tolist(), strict=True))
     return all(left[name] > 0.0 for name in ("Kc", "Bc") if name in left)
 
 
@@ -259,7 +259,7 @@ def _of_jumps(described: Described, motion: Motion, residuals: Array, columns: A
     rows = slice(None, None, max(1, len(residuals) // c.TESTED))
     both = np.concatenate([columns, jumps * described.kept[:, None]], axis=1)[rows]
     size = float(np.linalg.lstsq(both, residuals[rows], rcond=None)[0][-1])
-    return [jumps] if c.HELD_JUMPS[0] < size < c.HELD_JUMPS[1] else []
+    return [jumps] if 0.0 < size < c.HELD_JUMPS else []
 
 
 def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
@@ -269,7 +269,7 @@ def _of_rounding(signals: Signals, residuals: Array) -> list[Array]:
     Rounding adds a sawtooth of the model's torque; with noise, only the first harmonics of the sawtooth remain.
     """
     count = smallest_step(signals.as_read)
-    if (c.ROUNDING * count) ** 2 < c.ROUNDED_RESIDUALS * float(np.var(residuals)):
+    if (c.ROUNDING * count) ** 2 < c.SMALL_PART * float(np.var(residuals)):
         return []
     levels = np.unique(signals.as_read)
     number = np.round((levels - levels[0]) / count)

@@ -140,7 +140,7 @@ def _follows(spectra: _Spectra, band: tuple[float, float]) -> bool:
 def _in_bands(spectra: _Spectra, band: tuple[float, float]) -> list[tuple[float, ...]]:
     """Return the numbers of each band (`_band`), without the bands in which the joint hardly moved."""
     edges = _edges(spectra.frequency, band)
-    parts = (spectra.moved, c.WEAK_BAND), (spectra.instrument, c.EMPTY_BAND), (spectra.torque, c.EMPTY_BAND)
+    parts = (spectra.moved, c.NEGLIGIBLE), (spectra.instrument, c.ROUNDED), (spectra.torque, c.ROUNDED)
     inside, rows = slice(int(edges[0]), int(edges[-1])), list[tuple[float, ...]]()
     for lines in map(slice, edges[:-1].tolist(), edges[1:].tolist()):
         if all(_power(part, lines) > share * _power(part, inside) for part, share in parts):

@@ -18,11 +18,20 @@ import numpy as np
 
 from ga.arrays import Array
 from ga.model.record import Mark, Parameter, Regressors, Role, Term
+from ga.model.sticking import FULL
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import delayed
 from hil.signals.angle import difference
-from hil.signals.constants import DIFFERENCE, LENGTHS, SHORT_LAG, SMALL_TORQUE, SMOOTH, SOFT, TIMES
+from hil.signals.constants import (
+    DENSE_READINGS,
+    DIFFERENCE,
+    LENGTHS,
+    NEAR_READINGS,
+    SHORT_LAG,
+    SMALL_TORQUE,
+    TIMES,
+)
 
 _SIXTH: Final = difference(DIFFERENCE)
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
@@ -67,7 +76,7 @@ def progress(motion: Motion) -> Array:
 
 def _softness(motion: Motion) -> float:
     """Return the rate, rad/s, over which friction turns."""
-    return SOFT * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
+    return FULL * float(np.sqrt(np.mean(motion.dtheta_dot**2)))
 
 
 Signature = Callable[[Motion, Array, Array], list[Array]]
@@ -121,7 +130,7 @@ def _columns(*columns: Array) -> Array:
 
 def _smooth(motion: Motion, values: Array) -> Array:
     """Return values (n,) without the noise of their readings, which is listed as a separate effect."""
-    return smoothed(motion, values, SMOOTH / motion.step)
+    return smoothed(motion, values, 1.0 / DENSE_READINGS / motion.step)
 
 
 def _grid(motion: Motion, parameter: Parameter) -> tuple[float, ...]:
@@ -183,7 +192,7 @@ def _marked(mark: Mark) -> Effect:
 
 
 def _periodic(motion: Motion, _torque: Array, _model: Array) -> list[Array]:
-    phases = [2.0 * np.pi * turns * centred(motion) / np.ptp(motion.dtheta) for turns in (2.0, 4.0, 8.0)]
+    phases = [2.0 * np.pi * turns * centred(motion) / np.ptp(motion.dtheta) for turns in (2.0, 2.0**2, 2.0**3)]
     return [_columns(np.cos(phase), np.sin(phase)) for phase in phases]
 
 
@@ -201,9 +210,9 @@ def reading_noise(motion: Motion) -> Array:
 
 def of_readings(motion: Motion) -> Array:
     """Return the torque (n, k) that noise of the deflection may add to the residuals, in any unit."""
-    # a delay in the model takes the reading of a neighbour
+    shifts = range(-NEAR_READINGS, NEAR_READINGS + 1)  # a delay in the model takes the reading of a neighbour
     noise, smooth = (
-        np.stack([delayed(motion, values, shift * motion.step) for shift in range(-5, 6)], axis=1)
+        np.stack([delayed(motion, values, shift * motion.step) for shift in shifts], axis=1)
         for values in (reading_noise(motion), _smooth(motion, centred(motion)))
     )
     return np.asarray(noise - smooth @ np.linalg.lstsq(smooth, noise, rcond=None)[0])

@@ -63,7 +63,7 @@ def lack_of_fit(fitted: Residuals) -> LackOfFit | None:
     if fitted.kept is not None and np.count_nonzero(fitted.kept) <= fitted.columns.shape[1]:
         return None
     fitted = _blanked(fitted)
-    if float(np.std(fitted.residuals)) <= c.EXACT * float(np.std(fitted.torque)):
+    if float(np.std(fitted.residuals)) <= c.ROUNDED * float(np.std(fitted.torque)):
         return None
     return _Tests(_fewer(fitted)).result()
 
@@ -283,7 +283,7 @@ class _Tests:
 
     def _correlation(self) -> tuple[Array, Array]:
         """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
-        lags = np.linspace(-0.1, 0.3, 41)
+        lags = c.LAGS
         size = float(np.linalg.norm(self.tested.scores))
         found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
         return lags, np.array(found)
@@ -302,7 +302,7 @@ def _fewer(fitted: Residuals) -> Residuals:
     if len(motion) <= c.TESTED:
         return fitted
     speed = np.sqrt(np.mean(motion.dtheta_dot**2) / np.var(motion.dtheta))  # rad/s, of a sine that moves alike
-    dense = 2.0 * np.pi / (speed * motion.step * c.DENSE) if speed > 0.0 else 1.0
+    dense = 2.0 * np.pi / (speed * motion.step * 2.0 * c.DENSE_READINGS) if speed > 0.0 else 1.0
     rows = np.arange(0, len(motion), max(1, min(len(motion) // c.TESTED, int(dense))))
     starts = range(0)
     if len(rows) > c.TESTED:

@@ -100,10 +100,10 @@ class LackOfFit:
         if self.share <= 0.0:  # nothing to compare: tests of the readings themselves find their noise
             return replace(self, of_noise={one.code for one in self.failed} <= {"readings", "any"})
         mean, scatter = float(added.mean()), float(added.std(ddof=1))
-        doubt = 0.0 if self._grave else c.SCATTER * scatter
+        doubt = 0.0 if self._grave else c.CLEARLY * scatter
         if self._is_explained(mean + doubt):
             return replace(self, of_noise=True)
-        in_step = counted and scatter > c.REPEATED_ROUNDING * mean and self._is_explained(mean + c.SCATTER * scatter)
+        in_step = counted and scatter > c.REPEATED_ROUNDING * mean and self._is_explained(mean + c.CLEARLY * scatter)
         return replace(self, of_noise=in_step, in_step=in_step)
 
     def _is_explained(self, added: float) -> bool:
@@ -111,7 +111,7 @@ class LackOfFit:
         doubled.
         """
         left = self.predicted**2 - added / c.DOUBLED_ERRORS
-        return left < min(c.PREDICTED / self.share, c.OF_NOISE) * self.predicted**2
+        return left < min(c.SMALL_PART / self.share, c.MAJORITY) * self.predicted**2
 
     def is_far_beyond_noise(self, added: float) -> bool:
         """Return whether errors of the motion explain almost none of the torque that the test predicts.
@@ -190,7 +190,7 @@ class LackOfFit:
             return self.share >= c.PLAIN_MISFIT and self.unexplained > c.ACCURATE and not self._is_harmless
         if self._is_vague:
             return False
-        return bool(self.outside) or (self.share >= c.PREDICTED and not self._is_harmless)
+        return bool(self.outside) or (self.share >= c.SMALL_PART and not self._is_harmless)
 
     @property
     def is_undecided(self) -> bool:
@@ -219,7 +219,7 @@ class LackOfFit:
         without a warning.
         """
         vague = not self.suspects and all(one.Kc is None for one in self.failed)
-        return bool(self.failed) and not self.of_noise and self.share < c.PREDICTED and vague and not self._grave
+        return bool(self.failed) and not self.of_noise and self.share < c.SMALL_PART and vague and not self._grave
 
     @property
     def _is_harmless(self) -> bool:

@@ -45,7 +45,7 @@ class Scores:
         power = np.einsum("nk,nk->k", features, features)
         left = self.without_model(features)
         kept = np.einsum("nk,nk->k", left, left)
-        there = kept > c.NEW_FEATURE * np.maximum(power, np.finfo(float).tiny)
+        there = kept > c.NEW_COLUMN * np.maximum(power, np.finfo(float).tiny)
         return np.asarray(left[:, there] / np.sqrt(kept[there] / len(features)))
 
     def without_model(self, features: Array) -> Array:
@@ -128,7 +128,7 @@ def _blocks(scores: Array) -> Index:
     spectrum = np.abs(np.fft.rfft(scores, 2 * count)) ** 2
     alike = np.fft.irfft(spectrum)[:count]
     alike /= alike[0] if alike[0] > 0.0 else 1.0
-    until = int(np.argmax(alike < 0.05)) or 1
+    until = int(np.argmax(alike < c.UNCORRELATED)) or 1
     together = 1.0 + 2.0 * float(alike[1:until].sum())
     length = int(max(c.BLOCK_LENGTHS * together, c.SHORTEST_BLOCK, count / c.MOST_BLOCKS))
     number = max(c.FEWEST, min(c.MOST_BLOCKS, count // length))

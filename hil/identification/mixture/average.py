@@ -94,7 +94,7 @@ def _rivals(
     chosen = [step for step in choice.steps if {*step.model.split("+")} == terms]
     for step in choice.steps if chosen else ():
         larger = {*step.model.split("+")} == {*terms, step.term} > terms
-        if larger and step.term not in apart and step.gain > c.EVIDENCE_AGAINST:
+        if larger and step.term not in apart and step.gain > -c.STRONG:
             change = {name: getattr(step, name) - getattr(chosen[-1], name) for name in best}
             rival = {name: replace(best[name], value=best[name].value + change[name]) for name in best}
             yield rival, max(-step.gain, 0.0)
@@ -227,4 +227,4 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
 def _is_doubtful(step: Step) -> bool:
     """Return whether the evidence for or against the term of a step is weak."""
     term = TERMS[step.term]
-    return term.linear and term.selection != "smallest" and abs(step.gain) < -c.EVIDENCE_AGAINST
+    return term.linear and term.selection != "smallest" and abs(step.gain) < c.STRONG

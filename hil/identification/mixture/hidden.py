@@ -108,8 +108,8 @@ def _falling(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     for over in (part * felt(motion.dtheta_dot) for part in c.FALLS_OVER):
         column = friction * falls(seen.dtheta_dot, over)[rows]
         if builds_up:
-            more = seen.bristles(reach, c.SMALL_RISE, over) - seen.presliding(reach)
-            column = size_of(values, "presliding friction") / c.SMALL_RISE * more[rows]
+            more = seen.bristles(reach, c.RISE, over) - seen.presliding(reach)
+            column = size_of(values, "presliding friction") / c.RISE * more[rows]
         yield Hidden(column, c.RISE, among=len(c.FALLS_OVER))
 
 

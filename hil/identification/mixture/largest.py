@@ -26,6 +26,7 @@ from hil.identification.candidates.fits import own
 from hil.identification.fitting.blocks import Blocks
 from hil.identification.fitting.confidence import Covariance, covariance
 from hil.identification.mixture.model_average import AKAIKE
+from hil.signals.constants import KNOWN_MEAN
 from hil.signals.prepare import Signals
 
 _ALWAYS = tuple(name for name, term in TERMS.items() if term.bench == "always")
@@ -33,7 +34,7 @@ BENCH = (*_ALWAYS, *(name for name, term in TERMS.items() if term.bench == "smal
 _CURVES = tuple(name for name in of_role("curve") if TERMS[name].linear)  # a spring has no more reason to follow one
 _PRESLIDING = "presliding"  # a nuisance parameter, 1 where friction builds up over Fc/Kc
 _DEVIATING = "deviation of "  # before the name of a term: another, of what departs from its law
-_SEEN, _FEWEST = 0.1, 100  # part of the friction, and samples, from which its building up is seen
+_SEEN = 0.1  # part of the friction, from which its building up is seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,4 +165,4 @@ def _building_up(values: Mapping[str, float], motion: Motion) -> Array | None:
     whole, rows = motion.whole
     seen = whole.delayed(size_of(values, "delay"))
     found = friction * (seen.presliding(friction / stiffness) - np.sign(seen.dtheta_dot))[rows]
-    return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= _FEWEST else None
+    return found if np.count_nonzero(np.abs(found) > _SEEN * friction) >= KNOWN_MEAN else None

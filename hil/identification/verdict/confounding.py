@@ -114,11 +114,11 @@ def _friction_at_rest(evidence: Evidence) -> list[Diagnostic]:
     curves = set(of_role("curve")).intersection(evidence.model.name.split("+"))
     # in ticks of the recorder: a slow cell is late, and never early, by its own pace
     early = -size_of(values, "delay") / (c.TICK_SHARE * motion.whole[0].step)
-    if not evidence.selected or _least_friction(evidence) > c.NO_FRICTION * _loaded(evidence):
+    if not evidence.selected or _least_friction(evidence) > c.SMALL_PART * _loaded(evidence):
         return []
     has_inertia = bool(of_kind(values, "moment of inertia"))
     accelerates = has_inertia or early > c.LITTLE_EARLY
-    if (curves or early > c.EARLY) and looks_like_spring(motion):
+    if (curves or early > c.CLEARLY) and looks_like_spring(motion):
         other = "a spring that curves" if curves else "a torque that is read before the angle"
         fits = f"has the torque of more stiffness, and {other} fits as well"
     elif is_hidden(motion, inertia=accelerates):
@@ -142,7 +142,7 @@ def _little_load(evidence: Evidence) -> list[Diagnostic]:
     torque, angle = _loaded(evidence), _middle_of(evidence.signals.motion.dtheta)
     friction = max((abs(values[name]) for name in of_kind(values, *FRICTION)), default=0.0)
     gap, causes, times = size_of(values, "gap width"), [], 1.0
-    if friction > c.MUCH_FRICTION * torque:
+    if friction > c.MAJORITY * torque:
         causes.append(f"friction takes {friction:.2g} N m of the {torque:.2g} N m of torque")
         times = friction / (c.LITTLE_FRICTION * torque)
     if 0.5 * gap > c.PLAY * angle:
@@ -210,7 +210,7 @@ def _is_distinct(evidence: Evidence) -> bool:
     ]
     own = fits.candidate(terms, {})
     found = [fits.candidate_or_none(one, own.values) for one in others]
-    return all(predicts_better(own, one) > c.WORSE for one in found if one is not None)
+    return all(predicts_better(own, one) > c.CLEARLY for one in found if one is not None)
 
 
 def _filtered(evidence: Evidence, window: float, late: float) -> Diagnostic:

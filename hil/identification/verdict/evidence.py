@@ -26,8 +26,6 @@ from hil.identification.verdict.criteria import distinguishable, friction_likene
 from hil.signals import constants as c
 from hil.signals.prepare import Signals
 
-_NONE = (0.0, 0.0)  # the size of a misfit in a parameter that is neither Kc nor Bc
-
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
@@ -144,7 +142,7 @@ class Evidence:
         """
         value, half = (float(of[at]) for of in self.exact)
         low, high = self.solution.low[at], self.solution.high[at]
-        near = min(c.AT_END * (high - low), half)
+        near = min(c.RESOLVED * (high - low), half)
         if value <= low + near:
             return "low"
         return "high" if value >= high - near else None
@@ -203,7 +201,7 @@ def _slides(motion: Motion, values: Mapping[str, float], half_width: float) -> b
         return True
     reaches = 2.0 * 2.0**0.5 * float(np.std(motion.dtheta)) / before[1]
     left = float(np.exp(-reaches))
-    part = 24.0 * (0.5 * reaches * (1.0 - left) - 1.0 + (1.0 + reaches) * left) / reaches**3
+    part = 4.0 * 3.0 * (reaches * (1.0 - left) - 2.0 + 2.0 * (1.0 + reaches) * left) / reaches**3
     return bool(min(1.0, part) * before[0] <= half_width)
 
 
@@ -248,7 +246,10 @@ def with_misfit(found: tuple[Estimate, ...], fit: LackOfFit | None) -> tuple[Est
     misfit.
     """
     sizes = dict(zip(c.COUPLING, zip(fit.in_intervals, fit.at_zero, strict=True), strict=True)) if fit else {}
-    lacks = {one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, _NONE)]}
+    nothing = (0.0, 0.0)  # of a parameter that is neither Kc nor Bc
+    lacks = {
+        one.name: size * (zero or abs(one.value)) for one in found for size, zero in [sizes.get(one.name, nothing)]
+    }
     is_said = fit is not None and fit.misfit and fit.is_grave
     said = (fit.affected or one.name for one in found) if fit is not None and is_said else ("" for _ in found)
     return tuple(_wider(one, lacks[one.name], is_said=name == one.name) for one, name in zip(found, said, strict=True))

@@ -219,7 +219,7 @@ def _alike(evidence: Evidence, at: int) -> str:
     relaxing = _relaxing(dict(zip(evidence.names, evidence.values.tolist(), strict=True)))
     constant, slowest = max(relaxing, default=(0.0, ""))
     if name in {"Kc", slowest.replace("tau", "K")} and constant > 1.0 / (2.0 * np.pi * low):
-        seconds = f"Hold a load for at least {5.0 * constant:.2g} s"
+        seconds = f"Hold a load for at least {4.0 * constant:.2g} s"  # to 2 %
         hold = again(seconds, "--profile steps at a low --band", imported=evidence.signals.imported)
         return (
             f"{name} is not identifiable: a part of the stiffness relaxes in about {constant:.2g} s ({slowest}), but "

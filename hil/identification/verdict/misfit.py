@@ -180,7 +180,7 @@ def _frequencies(bands: DynamicStiffness | None) -> str:
         return ""
     low, high = float(bands.stiffness[0]), float(bands.stiffness[-1])
     error = float(np.hypot(bands.stiffness_half_width[0], bands.stiffness_half_width[-1]))
-    if len(bands.frequency) < 2 or abs(high - low) < max(error, c.CHANGING * abs(low)):
+    if len(bands.frequency) < 2 or abs(high - low) < max(error, c.LACKING * abs(low)):
         return ""
     first, last = float(bands.frequency[0]), float(bands.frequency[-1])
     return f"Without a model, Kc is {low:.3g} N m/rad at {first:.3g} Hz and {high:.3g} N m/rad at {last:.3g} Hz"
@@ -209,7 +209,7 @@ def _delay(signals: Signals, step: float) -> float:
     """
     motion, torque = signals.motion, signals.torque
     columns = np.stack([motion.dtheta, motion.dtheta_dot, np.ones(len(motion))], axis=1)
-    pace = max(step, 1.0 / (c.DELAYS_A_PERIOD * signals.band[1]))
+    pace = max(step, 1.0 / (2.0 * c.DENSE_READINGS * signals.band[1]))
     most = min(int(c.LATEST / pace), len(torque) // (4 * max(1, round(pace / step))))
     tried = pace * np.arange(most + 1)
     inside = slice(int(c.LATEST / step) + 1, None)
@@ -220,7 +220,7 @@ def _delay(signals: Signals, step: float) -> float:
         found = torque[inside]
         return float(np.sum((found - then @ np.linalg.lstsq(then, found, rcond=None)[0]) ** 2))
 
-    if len(torque[inside]) < 8 * columns.shape[1]:
+    if len(torque[inside]) < c.FEWEST * columns.shape[1]:
         return 0.0
     rest = np.array([left(delay) for delay in tried.tolist()])
-    return float(tried[np.argmin(rest)]) if rest.min() < c.LATE * rest[0] else 0.0
+    return float(tried[np.argmin(rest)]) if rest.min() < c.MAJORITY * rest[0] else 0.0

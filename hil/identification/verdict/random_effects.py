@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ga.arrays import Array
-from hil.signals.constants import NORMAL, OUTSIDE, UPPER, VARIANCE_ROUNDING, VARIANCE_STEPS
+from hil.signals.constants import BY_CHANCE, NEWTON_LIMIT, NORMAL, SINGULAR, UPPER
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def is_outside(value: float, values: Array, standard_error: float) -> bool:
 
     pooled = between(values, np.full(len(values), standard_error))
     deviation = float(np.sqrt(pooled.standard_error**2 + pooled.between**2 + standard_error**2))
-    return bool(abs(value - pooled.value) > -stdtrit(len(values) - 1, OUTSIDE) * deviation)
+    return bool(abs(value - pooled.value) > -stdtrit(len(values) - 1, 0.5 * BY_CHANCE) * deviation)
 
 
 def drift(times: Array, values: Array, standard_errors: Array) -> Drift:
@@ -162,9 +162,9 @@ def _variance_where(design: Array, values: Array, errors: Array, squares: float)
     The sum falls with the variance and is convex, so Newton's method from 0 never overshoots.
     """
     variance = 0.0
-    for _ in range(VARIANCE_STEPS):
+    for _ in range(NEWTON_LIMIT):
         found, fall = _weighted_squares(design, values, errors**2 + variance)
-        if found <= squares or found - squares <= VARIANCE_ROUNDING * fall * variance:
+        if found <= squares or found - squares <= SINGULAR * fall * variance:
             break
         variance += (found - squares) / fall
     return variance

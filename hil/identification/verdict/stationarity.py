@@ -93,7 +93,7 @@ def other_zeros(
         return []
     values = np.array(one.values)
     at, usual = _most_apart(values)
-    if not abs(values[at] - usual) > c.ZERO_SHARE * error:
+    if not abs(values[at] - usual) > c.MAJORITY * error:
         return []
     text = (
         f"the torque at rest of {paths[at]} differs by {values[at] - usual:+.3g} N m from {_OTHERS[len(values) > 2]}; "

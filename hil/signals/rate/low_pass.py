@@ -86,8 +86,7 @@ def low_pass_for(time: Array, highest: float, near: int) -> LowPass | None:
     edge, stop = c.PASSED * highest, c.STOPPED * highest
     if stop * 2.0 * step > c.NYQUIST:
         return None
-    # Kaiser's formula for the length
-    half = int(np.ceil((c.ATTENUATION - 7.95) / (2.0 * 14.36 * (stop - edge) * step)))
+    half = int(np.ceil(c.KERNEL / ((stop - edge) * step)))
     found = LowPass(0.5 * (edge + stop), half + c.FLAT, step, near)
     return found if float(np.mean(is_sound(time, found))) >= c.LEFT_BY_FILTER else None
 
@@ -155,7 +154,7 @@ def is_sound(time: Array, low_pass: LowPass) -> Mask:
 
 def _stretches(time: Array, step: float) -> list[slice]:
     """Return the pieces between gaps that are too long to interpolate. step: time between two samples, s."""
-    breaks = np.flatnonzero(np.diff(time) > c.BRIDGED * step) + 1
+    breaks = np.flatnonzero(np.diff(time) > c.APART * step) + 1
     return [slice(first, last) for first, last in pairwise([0, *breaks.tolist(), len(time)])]
 
 
@@ -216,7 +215,7 @@ def _fast_size(least: int) -> int:
 def _is_even(time: Array, low_pass: LowPass) -> bool:
     count = 1 + round((time[-1] - time[0]) / low_pass.step)
     even = np.linspace(time[0], time[-1], count) if count == len(time) else time + low_pass.step
-    return bool(np.all(np.abs(even - time) < c.EVEN * low_pass.step))
+    return bool(np.all(np.abs(even - time) < c.SAME * low_pass.step))
 
 
 def _grid(time: Array, low_pass: LowPass) -> Array:

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from ga.arrays import Array, Index, Mask
-from hil.signals.constants import BLOCK_LENGTH, DEGREE, SHARED_WINDOWS, SINGULAR, THREAD_SAMPLES
+from hil.signals.constants import BLOCK_LENGTH, DEGREE, ROWS_AT_ONCE, SHARED_WINDOWS, SINGULAR
 
 LEAST = (DEGREE + 1) // 2
 """The smallest number of neighbours on each side: with fewer there are fewer readings than coefficients."""
@@ -74,7 +74,7 @@ def _fitted(time: Array, values: Array, half: int, order: int) -> Array:
     """Return the derivative of `order` of a polynomial fitted to each window of `half` neighbours on each side, for
     stamps that need not be evenly spaced.
     """
-    if _together(half) == 1 and len(time) <= THREAD_SAMPLES:
+    if _together(half) == 1 and len(time) <= ROWS_AT_ONCE:
         return _weighed(values, half, order, np.arange(len(time)), _kept_weights(time.tobytes(), half, order))
     found = np.empty(len(time))
 
@@ -109,7 +109,7 @@ def _in_parts(work: Callable[[int, int], None], first: int, last: int) -> None:
     """Call the function `work` for all samples from `first` to `last` in parts; many parts run in threads, with the
     same result.
     """
-    parts = [(at, min(at + THREAD_SAMPLES, last)) for at in range(first, last, THREAD_SAMPLES)]
+    parts = [(at, min(at + ROWS_AT_ONCE, last)) for at in range(first, last, ROWS_AT_ONCE)]
     if len(parts) == 1:
         work(*parts[0])
         return

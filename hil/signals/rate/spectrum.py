@@ -61,7 +61,7 @@ class Spectrum:
         least: lower limit of the readings' white noise, rad.
         """
         frequency, power, weight = power_of(time, dtheta)
-        density = np.convolve(power, np.full(5, 0.2), mode="same")
+        density = np.convolve(power, np.full(c.SMOOTHED_LINES, 1.0 / c.SMOOTHED_LINES), mode="same")
         of_white = c.MEDIAN_POWER * weight  # the density of white noise of 1 rad
         rounding = least**2 * of_white
         floor = max(float(np.median(density[len(density) // 2 :])), rounding)

@@ -20,7 +20,6 @@ from hil.signals.rate.spectrum import Spectrum
 from hil.signals.slow_channel import Readings, noise_beside_any_shape
 from hil.signals.stamps import mean_step
 
-RATE_ACCURACY = 0.5 * (c.GAIN_ERROR + c.RATE_NOISE**2)  # of Bc: half of the most that both can change it by
 _NARROW = (LEAST, LEAST + 1)  # the same of windows that are no wider than needed: few samples are lost to a jump
 
 
@@ -144,7 +143,7 @@ def window_for(time: Array, dtheta: Array, torque: Array, cell: Readings | None 
     slope = best_of(slope, *first, of_deflection)
     curvature = best_of(curvature, *first, of_deflection, order=2)
     found = Window(
-        slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, c.UNSEEN_ERROR * hidden
+        slope, curvature, step, band, noise * _amplified(slope, step), of_deflection, count, c.MAJORITY * hidden
     )
     noisy = disturbs(seen, torque[some], step, of_deflection, of_deflection * _amplified(slope, step))
     following = None if noisy else _following(found, *first, torque[: c.ENOUGH], of_torque)
@@ -174,7 +173,7 @@ def _ripple_of_torque(time: Array, torque: Array, main: float) -> float:
     The result is infinite also if readings are missing, because that makes steps.
     """
     steps = np.diff(time)
-    if steps.max() > 1.5 * float(np.median(steps)):
+    if steps.max() > c.MISSING * float(np.median(steps)):
         return np.inf
     return Spectrum.of(time, torque, c.GAIN_ERROR * float(np.std(torque))).rises_beyond(main)
 
@@ -220,7 +219,7 @@ def _following(found: Window, time: Array, dtheta: Array, torque: Array, own: fl
     apart = _differing(time, dtheta, narrow, _NARROW)
     jerky = replace(found, jerk=beyond_noise(apart, narrow))
     smooth = ~(apart > jerky.jerk)
-    if _power(narrow, smooth) < c.SMOOTH_POWER * _power(narrow):
+    if _power(narrow, smooth) < c.MAJORITY * _power(narrow):
         return None
     away = smoothed_away(found.slope, time, dtheta, found.of_deflection, seen=smooth)
     return _jumping(jerky, time, dtheta, torque, own) if away <= found.unseen else None
@@ -243,7 +242,7 @@ def _jumping(found: Window, time: Array, dtheta: Array, torque: Array, own: floa
     # friction may hide it without the samples beside jumps, and the smoothing with them: the larger value counts
     inertia = max(abs(np.linalg.lstsq(columns[rows], torque[rows], rcond=None)[0][3]) for rows in (smooth, known))
     is_felt = float(inertia) * away > c.FELT_INERTIA * own
-    return jumping if is_felt and _power(rate, smooth) >= c.SMOOTH_POWER * _power(rate) else found
+    return jumping if is_felt and _power(rate, smooth) >= c.MAJORITY * _power(rate) else found
 
 
 def smoothed_away(
