@@ -47,7 +47,7 @@ from hil.signals import constants as c
 from hil.signals.prepare import Signals
 from hil.signals.source import Source, open_sources
 
-_UNMOVED = ("few-counts", "poor-snr")  # errors of a recording without usable motion
+_UNMOVED = ("deflection-noise", "poor-snr")  # errors of a recording without usable motion
 
 
 def identify(

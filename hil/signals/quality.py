@@ -174,7 +174,7 @@ def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
             f"the deflection of {defects.spikes} of {rows} rows is far from the readings before and after. These rows "
             "are left out. Check the encoder's cable"
         )
-        found.append(Diagnostic("angle-spikes", text))
+        found.append(Diagnostic("invalid-readings", text))
     if defects.wraps:
         text = (
             f"the deflection jumps {defects.wraps} times by the range of its encoder. The jumps are removed, so Kc and "
@@ -254,7 +254,7 @@ def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
         found.append(Diagnostic("saturated", text))
     if counts < FEW_COUNTS:
         text = f"the deflection spans {counts:.0f} counts of the encoder: {larger}"
-        found.append(Diagnostic("few-counts", text, is_error=counts < 3.0))
+        found.append(Diagnostic("deflection-noise", text, is_error=counts < 3.0))
     if quality.snr < POOR_SNR:
         text = f"the torque is only {quality.snr:.0f} dB above its noise: {larger}"
         found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))

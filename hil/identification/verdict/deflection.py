@@ -43,7 +43,7 @@ def deflection_diagnostics(evidence: Evidence) -> list[Diagnostic]:
         return []
     if found.counts < c.FEW_COUNTS / (4.0 if found.method == "instruments" else 2.0) and "Bc" in evidence.names:
         text = f"the deflection spans {found.counts:.0f} counts of the encoder. Bc cannot be identified: {_REMEDY}"
-        return [Diagnostic("few-counts", text, "Bc", is_error=True)]
+        return [Diagnostic("deflection-noise", text, "Bc", is_error=True)]
     if found.method == "none":
         return []
     changes = _relative(evidence, found.change)

@@ -51,10 +51,10 @@ LIMITS_OF_WARNINGS = [
     ("snr", 19.9, "poor-snr", False),
     ("snr", 3.0, "poor-snr", False),
     ("snr", 2.9, "poor-snr", True),
-    ("deflection_lsb", 1.0 / 20.0, "few-counts", None),
-    ("deflection_lsb", 1.0 / 19.9, "few-counts", False),
-    ("deflection_lsb", 1.0 / 3.0, "few-counts", False),
-    ("deflection_lsb", 1.0 / 2.9, "few-counts", True),
+    ("deflection_lsb", 1.0 / 20.0, "deflection-noise", None),
+    ("deflection_lsb", 1.0 / 19.9, "deflection-noise", False),
+    ("deflection_lsb", 1.0 / 3.0, "deflection-noise", False),
+    ("deflection_lsb", 1.0 / 2.9, "deflection-noise", True),
     ("defects", Defects(lost=20), "lost-samples", None),
     ("defects", Defects(lost=21), "lost-samples", False),
     ("defects", Defects(not_numbers=1), "invalid-readings", False),
@@ -62,7 +62,7 @@ LIMITS_OF_WARNINGS = [
     ("defects", Defects(coarse_clock=True), "coarse-clock", False),
     ("defects", Defects(frozen=1), "invalid-readings", False),
     ("defects", Defects(clipped=1), "invalid-readings", False),
-    ("defects", Defects(spikes=1), "angle-spikes", False),
+    ("defects", Defects(spikes=1), "invalid-readings", False),
     ("defects", Defects(wrong_torques=(-1.0,)), "invalid-readings", False),
     ("defects", Defects(wraps=1), "angle-wrapped", False),
     ("defects", Defects(jerked=100), "unknown-rate", None),
@@ -109,7 +109,7 @@ def test_the_count_of_the_deflection_is_the_smallest_step_between_its_readings(m
 
     found = inspect(make_recording(noise=1e-5, change=coarse))
     assert found.deflection_lsb == pytest.approx(steps[0], rel=1e-6)
-    assert "few-counts" in {one.code for one in found.diagnostics}
+    assert "deflection-noise" in {one.code for one in found.diagnostics}
 
 
 def test_samples_that_were_altered_are_not_measured(make_recording: Maker) -> None:
@@ -149,7 +149,7 @@ def test_an_option_of_hil_record_is_no_advice_for_an_imported_recording(tmp_path
     coarse = {"time": time, "torque": 0.1 * dtheta + noise, "dtheta": 0.02 * np.round(dtheta / 0.02)}
     write(tmp_path / "a.h5", Header(profile={"kind": kind}, stand_toml=""), coarse)
     said = {one.code: one.message for one in inspect(tmp_path / "a.h5").diagnostics}
-    for code in ("few-counts", "poor-snr"):
+    for code in ("deflection-noise", "poor-snr"):
         assert said[code].endswith(advice)
         assert "record a larger motion" in said[code]
     write(tmp_path / "b.h5", Header(profile={"kind": kind}, stand_toml=""), coarse | {"dtheta": np.full(2000, 0.1)})
