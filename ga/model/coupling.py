@@ -162,7 +162,7 @@ class CouplingModel:
         """
         model = self if self.smoothing is not None else self.anchored(motion)
         source = model._source(motion, nonlinear, lag)
-        return model._read(motion, model._stacked(source, nonlinear), nonlinear)
+        return model._as_measured(motion, model._stacked(source, nonlinear), nonlinear)
 
     def raw_columns(self, motion: Motion, nonlinear: Array, lag: float = 0.0) -> Array:
         """Return the columns (n, p) before the torque cell, including the part that unknown initial states can explain.
@@ -180,7 +180,7 @@ class CouplingModel:
         if motion.whole[0].known.any():
             source = self._through_cell(motion, nonlinear)
             torque = torque - self._behind_cell(motion, source.delayed(self.delay(nonlinear)).known, nonlinear)
-        return self._known(motion, torque, nonlinear)
+        return self._without_initial_states(motion, torque, nonlinear)
 
     def jacobian(
         self,
@@ -207,18 +207,20 @@ class CouplingModel:
             if term.delays and not (model._load_remembers or model._smooths):
                 rates = source.changing(self.delay(nonlinear)) if changing is None else (changing, changing)
                 aged = -(model._stacked(source, nonlinear, rates) @ genes + rates[0].known)
-                found.append(model._read(motion, aged, nonlinear))
+                found.append(model._as_measured(motion, aged, nonlinear))
             elif term.shifts is not None:
                 for shift in term.shifts(source.whole.angle):
                     pushed = -model._pushed(source.whole, nonlinear, genes, shift * source.whole.contact)
-                    found.append(model._read(motion, source.passed(pushed, bends=True), nonlinear))
+                    found.append(model._as_measured(motion, source.passed(pushed, bends=True), nonlinear))
             else:
                 read = model._torque(motion, source, nonlinear, genes, lag=lag) if torque is None else torque
                 same_delay = None if term.delays else source
                 for _ in values:
                     ends = model._beside(nonlinear, len(found))
                     low, high = (
-                        model._known(motion, model._torque(motion, same_delay, end, genes, lag=lag) - read, end)
+                        model._without_initial_states(
+                            motion, model._torque(motion, same_delay, end, genes, lag=lag) - read, end
+                        )
                         for end in ends
                     )
                     found.append((high - low) / (ends[1] - ends[0])[len(found)])
@@ -293,13 +295,13 @@ class CouplingModel:
             torque = cell(motion if number == len(cells) else motion.whole[0], torque, values)
         return torque
 
-    def _read(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
-        """Filter a torque (m,) or columns (m, p) like the torque cell, and return them, (n,) or (n, p), without the
-        part that unknown initial states explain.
+    def _as_measured(self, motion: Motion, torque: Array, nonlinear: Array | None) -> Array:
+        """Return a torque (m,), N m, or columns (m, p) after the torque cell's filter, without the part that unknown
+        states at the beginning of pieces explain: (n,) or (n, p), at the samples of the motion.
         """
-        return self._known(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
+        return self._without_initial_states(motion, self._behind_cell(motion, torque, nonlinear), nonlinear)
 
-    def _known(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
+    def _without_initial_states(self, motion: Motion, values: Array, nonlinear: Array | None) -> Array:
         """Return values (n,) or (n, p) without the part that unknown states at the beginning of pieces can explain."""
         if nonlinear is None or not any(term.forgets is not None for term, _ in self._places):
             return values

@@ -22,7 +22,7 @@ from hil.exchange.wanted import Column, Part, give
 from hil.printable import quoted
 from hil.signals.angle import outliers
 from hil.signals.constants import GROSS
-from hil.signals.plausibility import Swing, excess, implausible
+from hil.signals.plausibility import Swing, excess, unit_diagnostics
 from hil.stand.file import Stand
 
 Array = NDArray[np.float64]
@@ -147,12 +147,12 @@ def plausible(source: Path, swings: list[Swing], channels: dict[str, Array], sta
     """Return warnings about implausible sizes of torque and deflection. Raises WrongUse if a unit must be wrong."""
     limits = None if stand is None else stand.limits
     torque, dtheta = swings
-    found = implausible(torque, dtheta, limits)
+    found = unit_diagnostics(torque, dtheta, limits)
     if limits is not None and found:  # single wrong readings are beyond any limit
         good = np.isfinite([channels[name] for name in ("time", "torque", "dtheta")]).all(axis=0)
         read = channels["torque"][good]
         torque = Swing.of(read[~outliers(channels["time"][good], read, channels["dtheta"][good])], torque.factor)
-        found = implausible(torque, dtheta, limits)
+        found = unit_diagnostics(torque, dtheta, limits)
         if found and excess(torque, dtheta, limits) > GROSS:
             raise WrongUse(f"{source}: {found[0].message}")
     return [replace(one, is_error=False) for one in found]  # an error of a result, which an import has not

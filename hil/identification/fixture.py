@@ -68,7 +68,7 @@ def empty_rig(path: Path) -> Path:
     return recording
 
 
-def without_fixture(found: Identification, fixture: Identification) -> Identification:
+def without_fixture(joint: Identification, fixture: Identification) -> Identification:
     """Return Kc and Bc of the joint alone, with the errors of both recordings in their intervals.
 
     The diagnostics include those of the empty-rig recording, and an error for each parameter that is no longer
@@ -78,39 +78,44 @@ def without_fixture(found: Identification, fixture: Identification) -> Identific
     if not fixture["Kc"].identifiable:
         why = next((one.message for one in fixture.diagnostics if one.is_error), "it is as small as its noise")
         raise Untrustworthy(f"{fixture.recordings[0]} does not identify the stiffness of the fixture: {why}")
-    signals = found.signals
+    signals = joint.signals
     motion = signals.motion
-    one = len(found.recordings) == 1 and len(signals) >= found.samples
-    excitation = Excitation.of(motion.time, motion.dtheta) if one else Excitation.flat(signals.band)
-    alone = corrected(_element(found), _element(fixture), excitation)
-    corrections = {"Kc": (alone.stiffness, alone.stiffness_error), "Bc": (alone.damping, alone.damping_error)}
+    is_whole = len(joint.recordings) == 1 and len(signals) >= joint.samples
+    excitation = Excitation.of(motion.time, motion.dtheta) if is_whole else Excitation.flat(signals.band)
+    coupling = corrected(_element(joint), _element(fixture), excitation)
+    corrections = {
+        "Kc": (coupling.stiffness, coupling.stiffness_error),
+        "Bc": (coupling.damping, coupling.damping_error),
+    }
     # the torque's scale has the same relative error in both, and so in the difference
-    common = found.torque_scale.included
+    scale_uncertainty = joint.torque_scale.included
     estimates = tuple(
-        _corrected(estimate, *corrections[estimate.name], common) if estimate.name in corrections else estimate
-        for estimate in found.estimates
+        _corrected(estimate, *corrections[estimate.name], scale_uncertainty)
+        if estimate.name in corrections
+        else estimate
+        for estimate in joint.estimates
     )
-    lost = [
-        _lost(after)
-        for before, after in zip(found.estimates, estimates, strict=True)
+    no_longer_identifiable = [
+        _not_separated(after)
+        for before, after in zip(joint.estimates, estimates, strict=True)
         if before.identifiable and not after.identifiable
     ]
     return replace(
-        found,
+        joint,
         estimates=estimates,
-        diagnostics=(*_explained(found), *_of_fixture(fixture), *lost),
+        diagnostics=(*_without_series_misfit(joint), *_fixture_diagnostics(fixture), *no_longer_identifiable),
         fixture=Fixture(fixture.recordings[0], fixture.model.name, tuple(fixture[name] for name in COUPLING)),
     )
 
 
-def _explained(found: Identification) -> list[Diagnostic]:
+def _without_series_misfit(found: Identification) -> list[Diagnostic]:
     """Return the diagnostics, without a misfit that is explained by the fixture in series with the joint."""
     test = found.lack_of_fit
     series = test is not None and any(one.effect.is_of("branch") for one in test.suspects)
     return [one for one in found.diagnostics if not (series and one.code == "misfit")]
 
 
-def _of_fixture(fixture: Identification) -> list[Diagnostic]:
+def _fixture_diagnostics(fixture: Identification) -> list[Diagnostic]:
     """Return the diagnostics of the fixture. A damping that is not identifiable is no error, because the intervals
     include it.
     """
@@ -125,7 +130,8 @@ def _of_fixture(fixture: Identification) -> list[Diagnostic]:
     ]
 
 
-def _lost(estimate: Estimate) -> Diagnostic:
+def _not_separated(estimate: Estimate) -> Diagnostic:
+    """Return the error that the interval of Kc or Bc is too wide after the fixture is subtracted."""
     return Diagnostic(
         "not-identifiable",
         f"{estimate.name} of the joint cannot be separated from that of the fixture: its interval after the "

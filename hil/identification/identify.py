@@ -86,7 +86,7 @@ def _identified(
         solution = solve(data, search, progress)
         found = estimates(evidence := _evidence(data, solution))
         scattered = (evidence.names, evidence.scattered, [source.path for source in sources])
-        described = _described(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
+        described = _fit_to_test(data, solution, evidence, differ=bool(differing := disagreement(*scattered)))
         fit, dynamic = tested(described), described.dynamic_stiffness(data.signals.coupling_torque)
         found = with_misfit(modelled := found, fit)
         doubts: list[Diagnostic] = []
@@ -216,9 +216,9 @@ def _averaged(
     return values, half_width
 
 
-def _described(data: Dataset, solution: Solution, evidence: Evidence, *, differ: bool) -> Described:
-    """Return the signals and the fit for the lack-of-fit tests. differ: whether the recordings differ from each
-    other.
+def _fit_to_test(data: Dataset, solution: Solution, evidence: Evidence, *, differ: bool) -> Described:
+    """Return the signals and the fitted model, SI, for the lack-of-fit tests. differ: whether Kc or Bc differs between
+    pooled recordings.
     """
     _, target = next(iter(solution.blocks())) if data.choice.model.nonlinear else data.in_memory
     return Described(

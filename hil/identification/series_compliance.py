@@ -66,7 +66,7 @@ def corrected(measured: Element, fixture: Element, excitation: Excitation) -> El
     is that of the coupling's damping. Raises Untrustworthy if the fixture is softer than the coupling, or if both
     together have no stiffness.
     """
-    _refuse_soft(measured, fixture)
+    _refuse_soft_fixture(measured, fixture)
     target = np.array([measured.stiffness, measured.damping])
     held = np.array([fixture.stiffness, fixture.damping])
     found = _closed_form(target, held)
@@ -134,7 +134,10 @@ def _propagated(
     )
 
 
-def _refuse_soft(measured: Element, fixture: Element) -> None:
+def _refuse_soft_fixture(measured: Element, fixture: Element) -> None:
+    """Raise Untrustworthy unless joint and fixture together have a stiffness above zero, N m/rad, and the fixture is
+    stiffer than the joint.
+    """
     if not measured.stiffness > 0.0:
         raise Untrustworthy(
             f"Kc of joint and fixture together is {measured.stiffness:.4g} N m/rad, not above zero, so Kc of the joint "

@@ -52,7 +52,7 @@ def in_words(torque: Swing, deflection: Swing) -> str:
     turns".
     """
     span = 2.0 * deflection.half
-    turned = f"{span / TURN:.3g} turns" if _turns(deflection) else f"{math.degrees(span):.3g} deg"
+    turned = f"{span / TURN:.3g} turns" if _is_over_a_turn(deflection) else f"{math.degrees(span):.3g} deg"
     return f"torque {_range(torque, 'N m')}; deflection {_range(deflection, 'rad')}, a span of {turned}"
 
 
@@ -64,19 +64,19 @@ def _range(swing: Swing, unit: str) -> str:
     return f"{swing.least / scale + 0.0:.3g} to {swing.largest / scale + 0.0:.3g} {prefix}{unit}"
 
 
-def implausible(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:
+def unit_diagnostics(torque: Swing, deflection: Swing, limits: LimitsTable | None) -> list[Diagnostic]:
     """Return a warning for each channel that is too large for the stand, with the unit that would explain it.
 
     A deflection of more than a turn is an error, unless the stand's limits allow it.
     """
     if limits is None:
         return _many_turns(deflection)
-    found = _beyond("torque", "torque", torque, limits.torque, "N m")
-    found += [
-        replace(one, is_error=_turns(deflection))
-        for one in _beyond("deflection", "angle", deflection, limits.deflection, "rad")
+    diagnostics = _over_limit("torque", "torque", torque, limits.torque, "N m")
+    diagnostics += [
+        replace(diagnostic, is_error=_is_over_a_turn(deflection))
+        for diagnostic in _over_limit("deflection", "angle", deflection, limits.deflection, "rad")
     ]
-    return found or _odd_stiffness(torque, deflection, limits)
+    return diagnostics or _odd_stiffness(torque, deflection, limits)
 
 
 def excess(torque: Swing, deflection: Swing, limits: LimitsTable) -> float:
@@ -127,7 +127,7 @@ def wrong_sign(stiffness: float, *, imported: bool) -> Diagnostic:
     )
 
 
-def _beyond(name: str, dimension: str, swing: Swing, limit: float, unit: str) -> list[Diagnostic]:
+def _over_limit(name: str, dimension: str, swing: Swing, limit: float, unit: str) -> list[Diagnostic]:
     if not swing.half > OVER_LIMIT * limit:
         return []
     size, times = f"{swing.half:.3g} {unit}", swing.half / limit
@@ -147,7 +147,7 @@ def _likely(dimension: str, swing: Swing, limit: float) -> str:
     return f"Check --{option}-unit and the sensor's scale, or correct [limits] of the stand file"
 
 
-def _turns(deflection: Swing) -> bool:
+def _is_over_a_turn(deflection: Swing) -> bool:
     """Return whether the deflection spans more than a turn. No coupling deflects as far, unless the limits of its stand
     allow it.
     """
@@ -155,7 +155,7 @@ def _turns(deflection: Swing) -> bool:
 
 
 def _many_turns(deflection: Swing) -> list[Diagnostic]:
-    if not _turns(deflection):
+    if not _is_over_a_turn(deflection):
         return []
     message = (
         f"the deflection spans {2.0 * deflection.half / TURN:.3g} turns, which no coupling does. If the column is "

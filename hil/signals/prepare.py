@@ -286,7 +286,7 @@ def _signals(usable: UsableRows, columns: _Columns, window: Window, rows: tuple[
     else:
         angle_time, wanted = motion.time, within(usable.row[own.row], rows) & ~usable.torque_unknown[own.row]
         motion, torque, held = _at_readings(motion, own, wanted)
-        jerked = None if jerked is None else _beside(jerked, angle_time, motion.time)
+        jerked = None if jerked is None else _next_to_jump(jerked, angle_time, motion.time)
     return Signals(
         motion=motion,
         torque=_at_joint(torque, columns),
@@ -338,11 +338,13 @@ def _at_readings(motion: Motion, own: Readings, wanted: Mask) -> tuple[Motion, A
     return at, own.value[place], own.row[place]
 
 
-def _beside(jerked: Mask, time: Array, wanted: Array) -> Mask:
-    """Return for each wanted time (m,), s, whether one of the samples (n,) next to it is beside a jump of the
-    acceleration.
+def _next_to_jump(jerked: Mask, time: Array, reading_time: Array) -> Mask:
+    """Return for each reading of the torque, at `reading_time` (m,), s, whether the acceleration jumps beside the
+    sample of the angle before or after it.
+
+    jerked (n,): whether it jumps beside a sample of the angle; time (n,): of these samples, s.
     """
-    after = np.searchsorted(time, wanted)
+    after = np.searchsorted(time, reading_time)
     return np.asarray(jerked[np.maximum(after - 1, 0)] | jerked[np.minimum(after, len(jerked) - 1)])
 
 

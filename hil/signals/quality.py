@@ -27,7 +27,7 @@ from hil.signals.constants import (
 )
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
-from hil.signals.plausibility import Swing, implausible, negative_stiffness, wrong_sign
+from hil.signals.plausibility import Swing, negative_stiffness, unit_diagnostics, wrong_sign
 from hil.signals.prepare import Signals
 from hil.signals.rate.savitzky_golay import kernel, local_polynomial, widest
 from hil.signals.slow_channel import Slower
@@ -117,7 +117,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
         *_weaknesses(quality, imported=imported),
         *(_slow(one, quality.highest, imported=imported) for one in quality.slower),
         *([Diagnostic("unused-rate", _UNUSED_RATE)] if quality.has_unused_rate else []),
-        *implausible(_swing(quality.torque), _swing(quality.deflection), limits),
+        *unit_diagnostics(_swing(quality.torque), _swing(quality.deflection), limits),
         *lateness(quality.late, quality.samples),
     ]
 

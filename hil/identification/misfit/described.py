@@ -188,7 +188,7 @@ def _held_against(described: Described, motion: Motion, of_motion: Array | None)
     )
     skew = next((names.index(name) for name in of_kind(names, "delay")), None)
     if described.averaged:
-        columns = np.concatenate([columns, *_of_every_bench(described, alone, residuals, columns)], axis=1)
+        columns = np.concatenate([columns, *_small_bench_effects(described, alone, residuals, columns)], axis=1)
     if described.ends_if_differing and coupling is not None:
         columns = np.concatenate([columns, _of_each_recording(described, columns[:, list(coupling)])], axis=1)
     columns = np.concatenate([columns, *_of_rounding(described.signals, residuals)], axis=1)
@@ -212,16 +212,17 @@ def _without_errors(signals: Signals) -> Motion:
     return motion if left < c.SMALL_PART * float(np.var(signals.motion.dtheta)) else signals.motion
 
 
-def _of_every_bench(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
-    """Return the columns (n, 1) of the small effects that every bench has and the fitted model lacks.
+def _small_bench_effects(described: Described, motion: Motion, residuals: Array, columns: Array) -> list[Array]:
+    """Return the torque (n, 1), N m for a factor of one, of each small effect that every bench has and the fitted model
+    lacks.
 
-    columns (n, p): those of the fitted model.
+    residuals (n,): N m. columns (n, p): those of the fitted model.
     """
     torque = described.signals.coupling_torque
-    of_bench = (one for one in EFFECTS if any(term.bench for term in one.terms))
-    lacking = (one for one in of_bench if not one.is_in(described.names))
-    found = (column for one in lacking for column in one.signature(motion, torque, torque - residuals))
-    return [one for one in found if _is_small(described, residuals, columns, one)]
+    bench_effects = (effect for effect in EFFECTS if any(term.bench for term in effect.terms))
+    lacking = (effect for effect in bench_effects if not effect.is_in(described.names))
+    torques = (column for effect in lacking for column in effect.signature(motion, torque, torque - residuals))
+    return [column for column in torques if _is_small(described, residuals, columns, column)]
 
 
 def _of_each_recording(described: Described, coupling: Array) -> Array:

@@ -62,7 +62,7 @@ def lack_of_fit(fitted: Residuals) -> LackOfFit | None:
         return None
     if fitted.kept is not None and np.count_nonzero(fitted.kept) <= fitted.columns.shape[1]:
         return None
-    fitted = _blanked(fitted)
+    fitted = _zero_where_not_described(fitted)
     if float(np.std(fitted.residuals)) <= c.ROUNDED * float(np.std(fitted.torque)):
         return None
     return _Tests(_fewer(fitted)).result()
@@ -72,7 +72,7 @@ def predicted(*fits: Residuals) -> Array:
     """Return the predictable part of the residuals of each of k fits, N m r.m.s. (k,); all use the regressors of the
     first.
     """
-    tests = [_Tests(_fewer(_blanked(one))) for one in fits]
+    tests = [_Tests(_fewer(_zero_where_not_described(one))) for one in fits]
     features = np.concatenate(list(tests[0].features().values()), axis=1)
     return np.array([one.tested.predicted(features)[1] for one in tests])
 
@@ -335,9 +335,9 @@ def _apart(coupling: Array) -> Array:
     )
 
 
-def _blanked(fitted: Residuals) -> Residuals:
-    """Return the fit with zeros at the samples that the model does not describe, so that these samples add nothing to
-    sums.
+def _zero_where_not_described(fitted: Residuals) -> Residuals:
+    """Return the fit with residuals and columns of zero at the samples that the model does not describe, so that these
+    samples add nothing to sums.
     """
     if fitted.kept is None:
         return fitted

@@ -188,7 +188,7 @@ class LackOfFit:
             return False
         if self._is_small:
             return self.share >= c.PLAIN_MISFIT and self.unexplained > c.ACCURATE and not self._is_harmless
-        if self._is_vague:
+        if self._has_unknown_size:
             return False
         return bool(self.outside) or (self.share >= c.SMALL_PART and not self._is_harmless)
 
@@ -202,7 +202,8 @@ class LackOfFit:
     @property
     def in_intervals(self) -> tuple[float, float]:
         """Return the relative amounts by which the intervals of Kc and Bc grow because of the misfit."""
-        return (self.Kc, self.Bc) if self.misfit or self.in_step or self._is_small or self._is_vague else (0.0, 0.0)
+        grows = self.misfit or self.in_step or self._is_small or self._has_unknown_size
+        return (self.Kc, self.Bc) if grows else (0.0, 0.0)
 
     @property
     def _is_small(self) -> bool:
@@ -211,15 +212,15 @@ class LackOfFit:
         return (self.Kc <= first and self.Bc <= second) or self.unexplained <= c.ACCURATE
 
     @property
-    def _is_vague(self) -> bool:
-        """Return whether almost nothing is predicted, and no effect and no difference between parts shows a change of
-        Kc or Bc.
+    def _has_unknown_size(self) -> bool:
+        """Return whether the motion predicts less than 2 % of the residuals' power, and neither an effect nor a
+        difference between parts of the recording shows a change of Kc or Bc.
 
         The size of the misfit is then the largest change that so much torque could cause; it is added to the intervals,
         without a warning.
         """
-        vague = not self.suspects and all(one.Kc is None for one in self.failed)
-        return bool(self.failed) and not self.of_noise and self.share < c.SMALL_PART and vague and not self._grave
+        is_unsized = not self.suspects and all(one.Kc is None for one in self.failed)
+        return bool(self.failed) and not self.of_noise and self.share < c.SMALL_PART and is_unsized and not self._grave
 
     @property
     def _is_harmless(self) -> bool:

@@ -153,25 +153,25 @@ def _uneven(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield what makes the spring uneven, if the model has no such term: a curve, a stiffness that drifts, a narrow
     gap, and friction in proportion to the torque that builds up.
     """
-    terms, motion = selected.model.name.split("+"), selected.data.motion
-    roles, own = {TERMS[term].role for term in terms}, {name: largest.names.index(name) for name in c.COUPLING}
-    spring = largest.values[own["Kc"]] * largest.columns[:, own["Kc"]]
-    if roles.intersection({"curve", "play", "load"}) or not largest.values[own["Kc"]] > 0.0:
+    terms, largest_terms = selected.model.name.split("+"), largest.model.name.split("+")
+    motion, roles = selected.data.motion, {TERMS[term].role for term in terms}
+    index = {name: largest.names.index(name) for name in c.COUPLING}
+    spring = largest.values[index["Kc"]] * largest.columns[:, index["Kc"]]
+    if roles.intersection({"curve", "play", "load"}) or not largest.values[index["Kc"]] > 0.0:
         return
-    uneven = [_column(term, selected, {}) for term in of_role("curve", "change") if _is_alone(term, largest)]
-    carried = np.abs(spring + largest.values[own["Bc"]] * largest.columns[:, own["Bc"]])
+    torques = [
+        _column(term, selected, {})
+        for term in of_role("curve", "change")
+        if TERMS[term].linear and is_addable(term, largest_terms)
+    ]
+    carried = np.abs(spring + largest.values[index["Bc"]] * largest.columns[:, index["Bc"]])
     whole, rows = motion.whole
     reach = c.BUILDS_UP * float(np.ptp(motion.dtheta))
-    uneven += [-np.sign(motion.dtheta), carried * whole.presliding(reach)[rows]]
-    for column in uneven:
-        power = float(np.mean(column**2))
+    torques += [-np.sign(motion.dtheta), carried * whole.presliding(reach)[rows]]
+    for torque in torques:
+        power = float(np.mean(torque**2))
         if power > 0.0:
-            yield Hidden(column, c.UNEVEN * (float(np.mean(spring**2)) / power) ** 0.5, c.ONE_IN_TEN, len(uneven))
-
-
-def _is_alone(term: str, largest: Largest) -> bool:
-    """Return whether a term has one column and can be added to the largest model."""
-    return TERMS[term].linear and is_addable(term, largest.model.name.split("+"))
+            yield Hidden(torque, c.UNEVEN * (float(np.mean(spring**2)) / power) ** 0.5, c.ONE_IN_TEN, len(torques))
 
 
 def _column(term: str, selected: Selected, nonlinear: dict[str, float]) -> Array:

@@ -22,7 +22,7 @@ from hil.units import with_unit
 
 def judge(evidence: Evidence) -> list[Diagnostic]:
     """Return the warnings and errors of the result."""
-    found = _interruption(evidence.solution.trials)
+    found = _stopped_search(evidence.solution.trials)
     exact = dict(zip(evidence.names, (evidence.exact[0] + evidence.zeros).tolist(), strict=True))
     deflected, spans = float(np.std(evidence.signals.motion.dtheta)), evidence.span[2] if evidence.span else ""
     stiffnesses = other_stiffness(exact, deflected, model=evidence.model.name, spans=spans)
@@ -156,7 +156,8 @@ def _unloaded(evidence: Evidence) -> list[Diagnostic]:
     return [Diagnostic("unloaded-place", text, "Kc", is_error=wide)]
 
 
-def _interruption(trials: Trials) -> list[Diagnostic]:
+def _stopped_search(trials: Trials) -> list[Diagnostic]:
+    """Return the warning that Ctrl-C stopped the search before all trials had ended; [] otherwise."""
     if not trials.interrupted:
         return []
     text = (
