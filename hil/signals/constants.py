@@ -139,7 +139,6 @@ HELD = 0.2  # part of the moving samples that repeat, from which readings are he
 UNEVEN_PACE = 0.35  # of a pace, by which it varies at most
 CHANCE_PACE = 0.1  # ticks squared, the variance of a pace by chance
 OFF_PACE = 0.6  # of the time between two ticks, by which a reading at an even pace may be off
-LOCAL_PACE = 40  # readings over which a pace is even, if that of the whole recording drifts
 MISSING = 1.75  # usual steps, from which a reading, or the tick in which one was converted, is missing
 PACE_READINGS = 2000  # readings that a pace must fit
 BENDS = 49  # deflections, at most, at which a torque of any shape may bend

@@ -181,15 +181,10 @@ def _converted(before: Array, shown: Array) -> tuple[Array, float, float]:
     from the first to the last reading, s.
     """
     middle = 0.5 * (before + shown)
-    whole = _numbered(np.diff(middle))
-    for size in (len(middle), c.LOCAL_PACE):
-        parts = np.array_split(np.arange(len(middle)), max(1, len(middle) // size))
-        paces = [_even(whole[part], before[part], shown[part]) for part in parts]
-        at = np.concatenate([pace for pace, _, _ in paces])
-        if np.mean(np.abs(at - middle) <= c.OFF_PACE * (shown - before)) >= c.NEARLY_ALL:
-            drifts = paces[0][2] if len(paces) == 1 else 0.0  # what one part leaves open, the next one says
-            return np.clip(at, before, shown), max(unsure for _, unsure, _ in paces), drifts
-    return middle, 0.0, 0.0
+    even, unsure, drifts = _even(_numbered(np.diff(middle)), before, shown)
+    if np.mean(np.abs(even - middle) <= c.OFF_PACE * (shown - before)) < c.NEARLY_ALL:
+        return middle, 0.0, 0.0
+    return np.clip(even, before, shown), unsure, drifts
 
 
 def _numbered(steps: Array) -> Array:
