@@ -285,7 +285,7 @@ def test_each_joint_of_a_hand_is_a_stand_and_names_the_joint_that_follows(page: 
     for kind, place in (("record", "--stand=hand.toml"), ("doctor", "hand.toml"), ("design", "--stand=hand.toml")):
         words = line_of({"kind": kind, "stand": stiff["file"]}, Folder(tmp_path)).words
         assert {place, "--joint=stiff"} <= set(words)
-    assert preview("hand.toml", {}, "stiff")["limits"]["torque"]["limit"] == 0.03
+    assert preview("hand.toml", {"duration": "1"}, "stiff")["limits"]["torque"]["limit"] == 0.03
     assert "unknown joint 'soff'" in page.post("/api/preview", json={"stand": "hand.toml#soff"}).json()["refused"]
 
 
