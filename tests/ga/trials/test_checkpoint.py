@@ -14,6 +14,8 @@ from ga.trials.checkpoint import SearchState, WrongCheckpoint, load, save
 from ga.trials.outcome import Trials
 from ga.trials.trials import run_trials
 
+from .test_trials import assert_same
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -39,15 +41,6 @@ def once(times: int) -> Callable[[], bool]:
 def tried(data: Data, settings: Settings = LONG, **how: Any) -> Trials:
     how = {"trials": 3, "seed": 4, "workers": 1, "every": 0.0} | how
     return run_trials(data.columns, data.torque, PAPER_BOUNDS, settings, **how)
-
-
-def assert_same(one: Trials, other: Trials) -> None:
-    assert np.array_equal(one.genes, other.genes)
-    assert np.array_equal(one.fitness, other.fitness)
-    assert np.array_equal(one.generations, other.generations)
-    assert np.array_equal(one.history.generation, other.history.generation)
-    assert np.array_equal(one.history.fitness, other.history.fitness)
-    assert one.evaluations == other.evaluations
 
 
 @pytest.mark.parametrize("boxes", [False, pytest.param(True, marks=pytest.mark.study)])
