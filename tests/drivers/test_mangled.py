@@ -6,8 +6,10 @@ import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -60,23 +62,21 @@ def changed(how: str, at: int, data: bytes) -> bytes:
 
 
 def mangled_frames(how: str, at: int, replies: list[CanDelivery], last: list[bytes]) -> list[CanDelivery]:
-    """The same on a CAN bus, where a reply may also come from another node; noise is a frame of nobody's."""
+    """The same on a CAN bus, where a reply may also come from another node; noise is a heartbeat of any node."""
     if how == "elsewhere":
         return [CanDelivery(when, replace(one, ident=one.ident ^ 1 << at % 11)) for when, one in replies]
     done = mangled("none" if how in {"merged", "noise"} else how, at, [(w, one.data) for w, one in replies], last)
     shape = replies[0][1] if replies else None
     frames = [CanDelivery(when, replace(shape, data=data)) for when, data in done] if shape is not None else []
-    extra = [CanDelivery(when, replace(one, ident=0x7A0 + at % 16)) for when, one in replies] if how == "noise" else []
+    extra = [CanDelivery(when, replace(one, ident=0x700 + at % 128)) for when, one in replies] if how == "noise" else []
     same = [one for _, one in replies]
     if len(done) == len(same):
         frames = [CanDelivery(when, replace(one, data=data)) for (when, data), one in zip(done, same, strict=True)]
     return extra + frames
 
 
-HOW = st.tuples(
-    st.sampled_from(["good", "good", "flip", "cut", "twice", "merged", "noise", "older", "late", "lost", "elsewhere"]),
-    st.integers(0, 4095),
-)
+WAYS = ("flip", "cut", "twice", "merged", "noise", "older", "late", "lost", "elsewhere")
+HOW = st.tuples(st.sampled_from(["good", "good", *WAYS]), st.integers(0, 4095))
 
 
 def opened(request: pytest.FixtureRequest, kind: str) -> Any:
@@ -126,6 +126,32 @@ def hold_against(rig: Any, kind: str, plan: list[tuple[str, int]]) -> None:
     servo.disarm()
     assert not rig.motor.enabled
     servo.close()
+
+
+@sampled(5)
+@pytest.mark.parametrize("kind", [*SERIAL, *CAN])
+def test_mangled_replies_while_it_is_opened_armed_and_stopped_raise_only_named_errors(
+    request: pytest.FixtureRequest, kind: str, nth: int
+) -> None:
+    change: Any = mangled_frames if kind in CAN else mangled
+    count = 0
+    for seed in range(0, 30, nth):
+        rng, rig, last = np.random.default_rng(seed), opened(request, kind), list[bytes]()
+        receive, share = rig.bus.receive, (0.02, 0.1, 0.3)[seed % 3]
+
+        def damaging(*words: Any) -> Any:
+            how = str(rng.choice(WAYS)) if rng.random() < share else "good"  # noqa: B023 - called within the loop
+            return change(how, int(rng.integers(4096)), receive(*words), last)  # noqa: B023
+
+        rig.bus.receive = damaging
+        with contextlib.suppress(DriverError):
+            servo = rig.open()
+            count += 1
+            for call in (partial(servo.arm, LIMITS), partial(servo.exchange, PUSH), servo.disarm) * 2:
+                with contextlib.suppress(DriverError):
+                    call()
+            servo.close()
+    assert count >= 10 // nth
 
 
 @pytest.mark.parametrize("kind", [*SERIAL, *CAN])
