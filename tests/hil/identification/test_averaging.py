@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -230,45 +231,30 @@ def test_the_interval_of_kc_holds_an_unevenness_of_the_spring_that_noise_hides(
     assert identify([path], None, SEARCH)["Kc"].half_width < kc.half_width
 
 
-@pytest.mark.study
-def test_the_interval_of_a_spring_that_curves_holds_that_its_curve_is_no_cubic(make_recording: Maker) -> None:
-    def stiffens(channels: dict[str, Array]) -> None:
-        angle = channels["dtheta"]
-        channels["torque"] += 0.02 * (np.sinh(3.0 * angle) / 3.0 - angle)
+CURVES: dict[str, tuple[Callable[[Array], Array], int, float, int, set[str]]] = {
+    "a sinh is no cubic": (lambda x: np.sinh(3.0 * x) / 3.0, 1500, 5e-5, 0, {"cubic"}),
+    # with powers up to the fifth Kc is 0.2 % too low, twice its interval
+    "a tanh follows no power": (lambda x: 0.3 * np.tanh(x / 0.3), 4000, 2e-5, 2, {"cubic", "quintic"}),
+    # its stiffness has a kink where it is unloaded, which a cubic rounds off: Kc was 2 to 3 % too high
+    "a pair of tendons": (lambda x: np.sign(x) * np.expm1(np.abs(x)), 4000, 2e-5, 1, {"hardening", "exponential"}),
+}
+"""Torques over Kc, the samples, noise and seed of a recording, and terms of which a model of it has one or more."""
 
-    found = identify([make_recording(samples=1500, noise=5e-5, change=stiffens)], None, SEARCH)["Kc"]
-    assert found.conditional is not None
-    (low, high), (least, most) = found.ci95, found.conditional.ci95
+
+@pytest.mark.study
+@pytest.mark.parametrize("curve", CURVES)
+def test_the_interval_of_kc_holds_that_a_spring_curves_as_no_term_does(make_recording: Maker, curve: str) -> None:
+    torque, samples, noise, seed, terms = CURVES[curve]
+
+    def curves(channels: dict[str, Array]) -> None:
+        channels["torque"] += 0.02 * (torque(channels["dtheta"]) - channels["dtheta"])
+
+    found = identify([make_recording(samples=samples, noise=noise, seed=seed, change=curves)], None, SEARCH)
+    assert terms.intersection(found.model.name.split("+"))
+    assert found["Kc"].conditional is not None
+    (low, high), (least, most) = found["Kc"].ci95, found["Kc"].conditional.ci95
     assert low < 0.02 < high
     assert high - low > 1.05 * (most - least)
-
-
-@pytest.mark.study
-def test_the_interval_of_kc_holds_that_a_spring_which_saturates_follows_no_power(make_recording: Maker) -> None:
-    """The torque of a tanh: with powers up to the fifth Kc is 0.2 % too low, twice its interval."""
-
-    def saturates(channels: dict[str, Array]) -> None:
-        angle = channels["dtheta"]
-        channels["torque"] += 0.02 * (0.3 * np.tanh(angle / 0.3) - angle)
-
-    found = identify([make_recording(samples=4000, noise=2e-5, seed=2, change=saturates)], None, SEARCH)
-    assert found.model.name == "linear+cubic+quintic"
-    low, high = found["Kc"].ci95
-    assert low < 0.02 < high
-
-
-@pytest.mark.study
-def test_the_interval_of_kc_holds_that_of_a_tendon_whose_torque_is_exponential(make_recording: Maker) -> None:
-    """Its stiffness has a kink where it is unloaded, which a cubic rounds off: Kc was 2 to 3 % too high."""
-
-    def stiffens(channels: dict[str, Array]) -> None:
-        angle = channels["dtheta"]
-        channels["torque"] += 0.02 * (np.sign(angle) * np.expm1(np.abs(angle)) - angle)
-
-    found = identify([make_recording(samples=4000, noise=2e-5, seed=1, change=stiffens)], None, SEARCH)
-    assert {"hardening", "exponential"}.intersection(found.model.name.split("+"))
-    low, high = found["Kc"].ci95
-    assert low < 0.02 < high
 
 
 @pytest.mark.study
