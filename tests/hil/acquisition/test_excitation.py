@@ -95,6 +95,13 @@ def test_a_multisine_has_a_low_peak() -> None:
     assert np.abs(values).max() / np.sqrt(np.mean(values**2)) < 2.0
 
 
+def test_a_multisine_of_many_lines_keeps_to_its_amplitude() -> None:
+    """4 to 375 Hz over 2 s has some 740 lines."""
+    profile = make("multisine", band=(4.0, 375.0), rate=1500.0, duration=2.0)
+    largest = np.abs(profile.at(np.arange(3000) / 1500.0)).max()
+    assert 0.8 * profile.amplitude < largest <= profile.amplitude
+
+
 def test_a_ramp_is_a_triangle_of_constant_slope() -> None:
     time, values = sampled(make("ramp"))
     slope = np.abs(np.gradient(values, time))[(time > 0.5) & (time < 19.5)]

@@ -333,18 +333,6 @@ def test_an_empty_or_one_sample_file_is_not_to_be_trusted(hil: Hil, make_recordi
     assert no_trace(ended)
 
 
-@pytest.mark.study
-def test_rows_with_a_nan_are_dropped_counted_and_said(hil: Hil, make_recording: Maker) -> None:
-    def spoil(channels: dict[str, Array]) -> None:
-        channels["torque"][510:517] = np.nan
-
-    words = ("--model", "linear", "--trials", 1, "--json")
-    ended = hil("identify", make_recording(noise=1e-5, samples=1000, change=spoil), *words)
-    assert ended.status == 0
-    assert 950 < ended.json["samples"] <= 993
-    assert "7 of 1000 rows hold no number" in ended.err
-
-
 def test_a_constant_deflection_is_refused(hil: Hil, make_recording: Maker) -> None:
     path = make_recording(change=lambda channels: channels.update(dtheta=np.full(2000, 0.1)))
     for command in ("identify", "inspect"):

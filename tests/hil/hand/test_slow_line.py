@@ -66,7 +66,7 @@ def test_a_rate_that_is_too_high_with_neighbours_is_refused_with_one_at_which_no
     (most,) = re.findall(r"it reaches at most (\d+) Hz", str(refused.error))
     ended = outcome_at(float(most), family)
     assert (ended.error, ended.late, ended.missed) == (None, 0, 0)
-    highest = next(rate for rate in range(2 * int(most), 0, -1) if outcome_at(rate, family).error is None)
+    highest = next(rate for rate in range(3 * int(most) // 2, 0, -1) if outcome_at(rate, family).error is None)
     accepted = outcome_at(highest, family)
     assert (accepted.late, accepted.missed) == (0, 0)
     checks, (_, servo) = CheckList(), opened(family)

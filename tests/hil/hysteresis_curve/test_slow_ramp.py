@@ -16,8 +16,8 @@ from hil.signals.source import open_sources
 
 def ramp(path: Path, friction: float, growing: float, seconds: float) -> Signals:
     """A triangle on a spring of 500 N m/rad whose friction is a constant, N m, and grows with the load."""
-    rows = int(200 * seconds)
-    rng, time = np.random.default_rng(1), np.arange(rows) / 200.0
+    rows = int(100 * seconds)
+    rng, time = np.random.default_rng(1), np.arange(rows) / 100.0
     torque = 25.0 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * time / seconds))
     elastic, angle = 0.0, []
     for one in torque:

@@ -38,41 +38,21 @@ def driven(places: tuple[float, ...], hold: int) -> tuple[Array, Array, Array]:
     return state[:, 0], state[:, 1], state @ system[0][1] + OMEGA**2 * command
 
 
+def stepping(make_recording: Maker, inertia: float, noise: float, every: int = 1) -> Path:
+    """Steps of 0.2 rad to either side every 0.1 s at 500 Hz, and a torque cell that converts at every so many ticks."""
+
+    def change(channels: dict[str, Array]) -> None:
+        angle, rate, acceleration = driven((-0.2, 0.2), 50)
+        torque = KC * angle + BC * rate + inertia * acceleration
+        torque += noise * np.random.default_rng(4).standard_normal(SAMPLES)
+        channels["dtheta"], channels["torque"] = angle, torque[np.arange(SAMPLES) // every * every]
+
+    return make_recording(change=change, samples=SAMPLES)
+
+
 @pytest.fixture
 def stepped(make_recording: Maker) -> Path:
-    """Steps of 0.2 rad to either side every 0.1 s at 500 Hz."""
-
-    def change(channels: dict[str, Array]) -> None:
-        angle, rate, _ = driven((-0.2, 0.2), 50)
-        channels["dtheta"] = angle
-        channels["torque"] = KC * angle + BC * rate + 3e-4 * np.random.default_rng(4).standard_normal(SAMPLES)
-
-    return make_recording(change=change, samples=SAMPLES)
-
-
-@pytest.fixture
-def heavy(make_recording: Maker) -> Path:
-    """These steps with an inertia, which shows next to nowhere but beside the steps."""
-
-    def change(channels: dict[str, Array]) -> None:
-        angle, rate, acceleration = driven((-0.2, 0.2), 50)
-        channels["dtheta"] = angle
-        channels["torque"] = KC * angle + BC * rate + J * acceleration
-        channels["torque"] += 1e-3 * np.random.default_rng(4).standard_normal(SAMPLES)
-
-    return make_recording(change=change, samples=SAMPLES)
-
-
-@pytest.fixture
-def slowly_read(make_recording: Maker) -> Path:
-    """The same, and a torque cell that converts at every third tick."""
-
-    def change(channels: dict[str, Array]) -> None:
-        angle, rate, acceleration = driven((-0.2, 0.2), 50)
-        torque = KC * angle + BC * rate + J * acceleration + 1e-3 * np.random.default_rng(4).standard_normal(SAMPLES)
-        channels["dtheta"], channels["torque"] = angle, torque[np.arange(SAMPLES) // 3 * 3]
-
-    return make_recording(change=change, samples=SAMPLES)
+    return stepping(make_recording, 0.0, 3e-4)
 
 
 @pytest.fixture
@@ -173,9 +153,9 @@ def test_samples_beside_steps_that_are_left_out_are_counted_in_a_warning(stepped
 
 
 @pytest.mark.study
-def test_a_model_without_an_inertia_is_a_misfit_beside_steps_that_show_one(heavy: Path) -> None:
+def test_a_model_without_an_inertia_is_a_misfit_beside_steps_that_show_one(make_recording: Maker) -> None:
     """What it lacks of K + i w B - J w^2 is the last part of it."""
-    found = identify([heavy], parse("linear+offset+cubic"), SEARCH)
+    found = identify([stepping(make_recording, J, 1e-3)], parse("linear+offset+cubic"), SEARCH)
     assert found.lack_of_fit is not None
     lacking = found.lack_of_fit.at_jumps
     assert lacking is not None
@@ -226,9 +206,9 @@ def test_a_model_that_is_tested_at_rest_only_is_trusted_where_the_user_names_it(
 
 
 @pytest.mark.study
-def test_readings_of_a_slow_cell_beside_a_jump_are_left_out_too(slowly_read: Path) -> None:
+def test_readings_of_a_slow_cell_beside_a_jump_are_left_out_too(make_recording: Maker) -> None:
     """With them a reading late by -2.7 ms, which none is, stood beside an inertia that was 7 % too low."""
-    found = identify([slowly_read], None, SEARCH)
+    found = identify([stepping(make_recording, J, 1e-3, every=3)], None, SEARCH)
     assert found.model.name == "linear+inertia"
     assert found.samples < 0.95 * SAMPLES / 3
     for name, truth in (("Kc", KC), ("Bc", BC), ("J", J)):

@@ -49,18 +49,11 @@ def identified(
     return identify([path], None if model is None else parse(model), SEARCH)
 
 
-@pytest.fixture(scope="module")
-def butterworth() -> Response:
+@pytest.mark.study
+def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(make_recording: Maker) -> None:
     """A second order of 30 Hz in closed form, which is no mean and no single pole."""
     s = 1j * OMEGA / (2.0 * np.pi * 30.0)
-    return np.asarray(1.0 / (1.0 + np.sqrt(2.0) * s + s * s))
-
-
-@pytest.mark.study
-def test_no_damping_is_trusted_behind_a_filter_whose_shape_nobody_named(
-    make_recording: Maker, butterworth: Response
-) -> None:
-    found = identified(make_recording, butterworth)
+    found = identified(make_recording, 1.0 / (1.0 + np.sqrt(2.0) * s + s * s))
     assert (found.trusted("Kc"), found.trusted("Bc")) == (True, False)
     assert found["Kc"].value == pytest.approx(KC, rel=5e-3)
 

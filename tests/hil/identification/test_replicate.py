@@ -18,7 +18,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Replication:
     folder = tmp_path_factory.mktemp("replicate")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(experiment, "_MEASURE", 0.05)
-        return experiment.replicate(folder, evaluations=2_000, trials=3, seed=0, workers=1)
+        return experiment.replicate(folder, evaluations=500, trials=3, seed=0, workers=1)
 
 
 def test_it_is_the_papers_experiment_at_the_scale_asked_for(done: Replication) -> None:
@@ -26,7 +26,7 @@ def test_it_is_the_papers_experiment_at_the_scale_asked_for(done: Replication) -
     with Recording(found.recordings[0]) as recording:
         assert len(recording) == 2500
     assert (found.preset, len(found.trials.fitness)) == ("paper", 3)
-    assert found.trials.evaluations == 3 * (10 + 2_000)
+    assert found.trials.evaluations == 3 * (10 + 500)
 
 
 def test_the_reported_rates_are_the_measured_ones(done: Replication) -> None:

@@ -23,7 +23,7 @@ CASES = ((0.25, "", 0.25), (0.5, "", 0.5), (0.25, "0.02", 0.02), (0.25, "0.0", 0
 def test_every_interval_of_what_the_torque_scales_includes_its_scale_and_no_other_does(
     make_recording: Maker,
 ) -> None:
-    path = make_recording(noise=1e-4)
+    path = make_recording(noise=2e-5, samples=1200)
     before = api.identify(path, "linear+skew", trials=1).as_json()["parameters"]
     for drive, stand, included in CASES:
         with edited(path) as file:
