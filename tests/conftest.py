@@ -124,14 +124,15 @@ def recordings_are_quick() -> Iterator[None]:
     """Save what costs 100 ms or more for each recording and is the same for all.
 
     None is tried out in a copy of this process before it is opened, since nearly every test has just written it
-    itself; the versions of the software, one of them `git`'s, are looked up once; and before a run in real time the
-    memory is not searched for what can be freed, which holds all tests here.
+    itself; the versions of the software, one of them `git`'s, are looked up once; before a run in real time the
+    memory is not searched for what can be freed, which holds all tests here; and the doctor tests a link for 0.2 s.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hil.recording.reader.in_child", lambda *_, **__: True)
         patch.setattr("hil.recording.input.in_child", lambda work, **_: work())
         patch.setattr("hil.recording.writer._software", SOFTWARE)
         patch.setattr("hil.acquisition.real_time.gc", UNSEARCHED)
+        patch.setattr("hil.doctor.link_check._SECONDS", 0.2)
         yield
 
 

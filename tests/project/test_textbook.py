@@ -31,6 +31,7 @@ def test_the_parameters_of_a_named_effect_are_in_their_intervals(textbook: Modul
     assert found["better"] == ""
 
 
+@pytest.mark.study
 def test_the_default_options_find_an_effect_of_plain_size(textbook: ModuleType) -> None:
     found = textbook.judged(textbook.Row("coulomb", "plain", 2, "cell", 1), with_name=False)
     assert (found["selected"], found["outcome"]) == ("linear+coulomb", "right")

@@ -70,7 +70,6 @@ def examine_rig(monkeypatch: pytest.MonkeyPatch) -> Examine:
             return rig.open(mode=table.mode), {}
 
         monkeypatch.setattr(hil.doctor.examine, "open_servo", opened)
-        monkeypatch.setattr("hil.doctor.link_check._SECONDS", 0.2)
         checks = CheckList()
         examine(checks, stand_at("loop://"), quantity, **{"rate": 200.0, "move": True} | words)
         return checks

@@ -38,7 +38,6 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_machine: None) -> 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setattr("drivers.packets.bus._ROLL_CALL", 0.1)
-    monkeypatch.setattr("hil.doctor.link_check._SECONDS", 0.2)
     return Cut([DynamixelDevice("xl330-m288", ident, now=time.monotonic()) for ident in (1, 2, 3)])
 
 

@@ -49,7 +49,6 @@ def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PacketBus]:
     """A line of the servos 1, 2 and 3 at ./ttyHAND, of which 2 is another model."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("drivers.packets.bus._ROLL_CALL", 0.1)
-    monkeypatch.setattr("hil.doctor.link_check._SECONDS", 0.2)
     monkeypatch.setattr("drivers.dynamixel.identity.RATES", (1_000_000,))
     models = ("xl330-m288", "xc330-t288", "xl330-m288")
     Path("hand.toml").write_text(HAND)
