@@ -185,7 +185,7 @@ def test_the_lowest_point_of_a_ray_is_found_among_ties(rows: list[tuple[int, int
     assert height(step) == pytest.approx(lowest, abs=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["plain", "outliers", "counts", "repeated rows", "collinear", "a zero column"])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("off", [0.0, 1e-4, 3.0])
 def test_a_start_close_by_or_far_off_leads_to_the_same_optimum(kind: str, off: float) -> None:
     for seed in range(2):

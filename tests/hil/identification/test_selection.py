@@ -106,7 +106,7 @@ def test_friction_that_grows_with_the_load_is_found_where_the_rates_of_fast_samp
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.study)])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_noise_that_follows_itself_is_not_taken_for_a_term(seed: int) -> None:
     """Counted a sample at a time, noise over a tenth of a second looks like an effect."""
     rolling = np.convolve(noise(2e-4, seed, SAMPLES + 12), np.full(13, 0.28), mode="valid")

@@ -176,9 +176,7 @@ def drive(stand: Stand, servo: Servo) -> None:
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(
-    ("first", "count"), [(0, 150), pytest.param(10_000, 8_000, marks=pytest.mark.study)], ids=["quick", "study"]
-)
+@pytest.mark.parametrize(("first", "count"), [(0, 150), (10_000, 8_000)])
 def test_a_stand_file_of_any_values_is_refused_or_built(
     first: int, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
