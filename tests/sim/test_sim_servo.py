@@ -77,18 +77,14 @@ def test_a_torque_set_point_becomes_that_torque(frictionless: SimParameters, lim
     assert state.joint_position == pytest.approx(4.8e-3 / 20.0, rel=1e-6)
 
 
-def test_a_position_set_point_is_reached_and_held(limits: Limits) -> None:
+@pytest.mark.parametrize(("asked", "range_", "held"), [(1.0, 3.0, 1.0), (2.0, 0.5, 0.5)])
+def test_a_position_or_the_end_of_the_range_is_reached_and_held(
+    limits: Limits, asked: float, range_: float, held: float
+) -> None:
     servo = opened(SimParameters())
-    servo.arm(limits)
-    driven(servo, Command(Quantity.POSITION, 1.0), 500)
-    assert servo.true_state().motor_position == pytest.approx(1.0, abs=3e-3)
-
-
-def test_a_position_beyond_the_range_is_held_at_the_end_of_the_range(limits: Limits) -> None:
-    servo = opened(SimParameters())
-    servo.arm(replace(limits, position=(-0.5, 0.5)))
-    driven(servo, Command(Quantity.POSITION, 2.0), 500)
-    assert servo.true_state().motor_position == pytest.approx(0.5, abs=3e-3)
+    servo.arm(replace(limits, position=(-range_, range_)))
+    driven(servo, Command(Quantity.POSITION, asked), 500)
+    assert servo.true_state().motor_position == pytest.approx(held, abs=3e-3)
 
 
 @pytest.mark.parametrize(("asked", "limit", "drive"), [(9e-3, 2e-3, 5e-3), (4e-3, 6e-3, 2e-3)])

@@ -136,33 +136,18 @@ def test_where_noise_hides_which_samples_are_slow_none_is_left_out() -> None:
     assert parse("linear+coulomb").anchored(moving(rate_noise=noise)).described(MOTION).all()
 
 
-def test_friction_says_nothing_of_samples_in_which_the_joint_rests_but_for_the_noise_of_its_rate() -> None:
-    rests = np.arange(len(RATE)) % 500 < 150
-    noise = 1e-3 * float(np.sqrt(np.mean(RATE**2)))
-    resting = np.where(rests, noise * np.random.default_rng(0).standard_normal(len(RATE)), RATE)
-    motion = replace(moving(rate_noise=noise), dtheta_dot=resting)
-    used = parse("linear+coulomb").anchored(motion).described(motion)
-    assert not used[rests].any()
-    assert np.mean(used[~rests]) > 0.95
+@pytest.mark.parametrize("rest", [0, 40])
+def test_where_the_joint_comes_to_rest_friction_is_a_sign_in_every_sample_that_is_described(rest: int) -> None:
+    """A fifth of the samples are slower than the sign is smoothed, and no noise hides which ones.
 
-
-def test_where_the_joint_comes_to_rest_friction_is_a_sign_in_every_sample_that_is_described() -> None:
-    """A fifth of the samples are slower than the sign is smoothed, and no noise hides which ones."""
-    dying = np.geomspace(1.0, 1e-6, 401) * np.sign(RATE)
+    Nor beside a rest that is longer than any slow motion.
+    """
+    dying = np.where(np.arange(401) % 100 < rest, 0.0, np.geomspace(1.0, 1e-6, 401) * np.sign(RATE))
     motion = replace(moving(rate_noise=1e-9), dtheta_dot=dying)
     model = parse("linear+coulomb").anchored(motion)
     used = model.described(motion)
     assert np.abs(model.columns(motion)[used, 2]).min() > 0.99
     assert used[np.abs(dying) > 0.01].all()
-
-
-def test_friction_is_a_sign_in_every_sample_described_beside_a_rest_that_is_longer_than_any_slow_motion() -> None:
-    resting = np.where(np.arange(401) % 100 < 40, 0.0, np.geomspace(1.0, 1e-6, 401) * np.sign(RATE))
-    motion = replace(moving(rate_noise=1e-9), dtheta_dot=resting)
-    model = parse("linear+coulomb").anchored(motion)
-    used = model.described(motion)
-    assert np.abs(model.columns(motion)[used, 2]).min() > 0.99
-    assert used[np.abs(resting) > 0.01].all()
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02])
@@ -181,14 +166,14 @@ def test_friction_says_nothing_of_samples_in_which_the_rate_turns_before_the_joi
     assert used[np.roll((place > 20) & (place < 50), late)].all()
 
 
-@pytest.mark.parametrize("noise", [0.004, 0.006, 0.012])
-def test_noise_that_leaves_most_rates_known_does_not_hide_where_the_joint_rests(noise: float) -> None:
+@pytest.mark.parametrize(("noise", "found"), [(0.001, 1.0), (0.004, 0.97), (0.006, 0.97), (0.012, 0.97)])
+def test_noise_that_leaves_most_rates_known_does_not_hide_where_the_joint_rests(noise: float, found: float) -> None:
     rests = np.arange(len(RATE)) % 100 < 30
     noise *= float(np.sqrt(np.mean(RATE[~rests] ** 2)))
     resting = np.where(rests, noise * np.random.default_rng(0).standard_normal(len(RATE)), RATE)
     motion = replace(moving(rate_noise=noise), dtheta_dot=resting)
     used = parse("linear+coulomb").anchored(motion).described(motion)
-    assert np.mean(~used[rests]) > 0.97
+    assert np.mean(~used[rests]) >= found
     assert np.mean(used[~rests]) > 0.9
 
 

@@ -75,16 +75,11 @@ def test_columns_that_look_alike_have_a_large_inflation() -> None:
     assert apart.inflation.max() < 1.1
 
 
-def test_residuals_that_are_all_zero_leave_an_interval_of_nothing() -> None:
+@pytest.mark.parametrize("truth", [(1.0, 2.0), (0.0, 0.0)])
+def test_residuals_that_are_all_zero_leave_an_interval_of_nothing(truth: tuple[float, float]) -> None:
+    """Of a torque of zero too, as in the half of a recording in which its sensor was unplugged."""
     columns = np.random.default_rng(0).standard_normal((500, 2))
-    intervals = confidence_intervals(Blocks.of(columns, columns @ [1.0, 2.0]), np.array([1.0, 2.0]))
-    assert np.all(intervals.half_width < 1e-12)
-
-
-def test_a_torque_that_is_zero_throughout_leaves_an_interval_of_nothing() -> None:
-    """As in the half of a recording in which the torque's sensor was unplugged."""
-    columns = np.random.default_rng(0).standard_normal((500, 2))
-    intervals = confidence_intervals(Blocks.of(columns, np.zeros(500)), np.zeros(2))
+    intervals = confidence_intervals(Blocks.of(columns, columns @ truth), np.array(truth))
     assert np.all(intervals.half_width < 1e-12)
 
 

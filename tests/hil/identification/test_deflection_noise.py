@@ -172,17 +172,15 @@ def test_counts_of_a_joint_that_rests_at_two_angles_are_no_misfit(
 
 
 @pytest.mark.study
-@pytest.mark.parametrize(("motion", "bits", "commanded"), [(quick, 11, True), (jerky, 12, False)])
-def test_counts_that_go_with_the_motion_hide_no_friction_that_the_model_lacks(
-    tmp_path: Path, motion: Motion, bits: int, commanded: bool
+@pytest.mark.parametrize(
+    ("motion", "bits", "noise", "commanded"),
+    [(quick, 11, 0.0, True), (jerky, 12, 0.0, False), (jerky, 0, 2e-3, True), (jerky, 0, 2e-3, False)],
+)
+def test_counts_and_noise_of_the_deflection_hide_no_friction_that_the_model_lacks(
+    tmp_path: Path, motion: Motion, bits: int, noise: float, commanded: bool
 ) -> None:
-    assert misfits(recorded(tmp_path / "a.h5", motion, bits=bits, friction=5e-3, commanded=commanded))
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("commanded", [True, False])
-def test_noise_of_the_deflection_hides_no_friction_that_the_model_lacks(tmp_path: Path, commanded: bool) -> None:
-    assert misfits(recorded(tmp_path / "a.h5", jerky, noise=2e-3, friction=5e-3, commanded=commanded))
+    path = tmp_path / "a.h5"
+    assert misfits(recorded(path, motion, bits=bits, noise=noise, friction=5e-3, commanded=commanded))
 
 
 @pytest.mark.study

@@ -7,6 +7,7 @@ import gzip
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -33,7 +34,7 @@ from hil.recording.output import check_output, check_unfinished, next_free, remo
 from hil.recording.reader import SCHEMA, Recording
 from hil.recording.writer import Header, RecordingWriter, _software, write
 
-from ..conftest import Maker
+from ..conftest import Maker, copied, exit_status
 
 READINGS = list(CHANNELS)[1:-1]
 DATA = Path(__file__).parent / "data"
@@ -325,19 +326,14 @@ def test_a_failed_second_stage_leaves_the_part_and_no_half_file(
 
 def test_a_full_disk_is_refused_before_anything_moves(tmp_path: Path) -> None:
     """A real refusal by the kernel: the process may write no file larger than 100 kB."""
-    code = (
-        "import resource, signal, sys; from pathlib import Path\n"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
-        "from hil.errors import WrongUse\n"
-        "from hil.recording.writer import Header, RecordingWriter\n"
-        "try: RecordingWriter(Path(sys.argv[1]), Header(profile={}), 100_000)\n"
-        "except WrongUse as error: print(error)\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "a.h5")], check=True, capture_output=True, text=True
-    )
-    assert "cannot be written" in run.stdout
+
+    def refused() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        with pytest.raises(WrongUse, match="cannot be written"):
+            RecordingWriter(tmp_path / "a.h5", HEADER, 100_000)
+
+    assert exit_status(copied(refused)) == 0
     assert list(tmp_path.iterdir()) == []
 
 
