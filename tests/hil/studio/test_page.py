@@ -218,6 +218,13 @@ def test_an_alarm_stays_until_it_is_acknowledged_and_nothing_moves_before(
             pass
 
 
+def test_a_run_that_is_too_long_to_be_predicted_is_said_to_be_and_has_a_bounded_curve() -> None:
+    found = preview("sim", {"duration": "1e9"})
+    assert "too long to be predicted" in found["said"]
+    assert 0 < len(found["curves"]["time"]) < 30_000
+
+
+@pytest.mark.study
 def test_a_preview_of_a_run_of_any_length_takes_little_memory_and_time() -> None:
     # ru_maxrss of a process is at least that of the one it was forked from
     code = "import resource; from hil.studio.preview import preview; import json, sys; from pathlib import Path\n"
