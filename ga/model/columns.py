@@ -46,14 +46,14 @@ class ColumnSource:
         return near, near if self.is_whole else self.motion.whole[0].changing(delay)
 
     def columns(
-        self, present: Iterable[tuple[Term, bool, Array]], changing: tuple[Motion, Motion] | None = None
+        self, present: Iterable[tuple[Term, bool, Array]], motion_rates: tuple[Motion, Motion] | None = None
     ) -> list[Array]:
-        """Return the columns (n,) of terms; with `changing`, their time derivatives.
+        """Return the columns (n,) of terms; with `motion_rates`, their time derivatives.
 
         present: each term, whether its torque is no linear filter of the motion, and its parameters. Columns that must
         be filtered are filtered together: that takes half as long.
         """
-        computed = [self._computed(term, bends, values, changing) for term, bends, values in present]
+        computed = [self._computed(term, bends, values, motion_rates) for term, bends, values in present]
         bent = [column for columns, _, filtered in computed if filtered for column in columns]
         whole, rows = self.motion.whole
         passed = iter(whole.filtered(np.stack(bent)) if bent else ())
@@ -64,7 +64,7 @@ class ColumnSource:
         return requested
 
     def _computed(
-        self, term: Term, bends: bool, values: Array, changing: tuple[Motion, Motion] | None
+        self, term: Term, bends: bool, values: Array, motion_rates: tuple[Motion, Motion] | None
     ) -> tuple[tuple[Array, ...], bool, bool]:
         """Return the columns (m,) of a term, whether they are of all samples because the term depends on samples that
         are not requested, and whether they must be filtered.
@@ -72,18 +72,21 @@ class ColumnSource:
         beyond = reaches(self.motion, term, bends=bends)
         regressors = self.whole if beyond else self.near
         regressors = replace(regressors, own=values) if len(values) else regressors  # thousands of times in a selection
-        columns = _columns_of(term, regressors, None if changing is None else changing[beyond])
+        columns = _columns_of(term, regressors, None if motion_rates is None else motion_rates[beyond])
         return columns, beyond, beyond and bends and self.motion.behind is not None
 
 
-def _columns_of(term: Term, regressors: Regressors, changing: Motion | None) -> tuple[Array, ...]:
+def _columns_of(term: Term, regressors: Regressors, motion_rate: Motion | None) -> tuple[Array, ...]:
+    """Return the columns (n,) of one term, N m per unit of its parameters; with `motion_rate`, the time derivatives of
+    the columns.
+    """
     columns: tuple[Array, ...] = ()
-    if term.columns is not None and changing is None:
-        columns = term.columns(regressors)
-    elif term.rates is not None and changing is not None:
-        columns = term.rates(regressors, changing)
-    elif term.columns is not None and changing is not None:
-        moved = changing.dtheta * regressors.contact
+    if motion_rate is None:
+        columns = term.columns(regressors) if term.columns is not None else ()
+    elif term.rates is not None:
+        columns = term.rates(regressors, motion_rate)
+    elif term.columns is not None:
+        moved = motion_rate.dtheta * regressors.contact
         columns = (term.pushed(regressors, np.ones(1), moved) if term.pushed else np.zeros_like(moved),)
     return tuple(regressors.loaded(term, *pair) for pair in zip(columns, term.parameters, strict=False))
 

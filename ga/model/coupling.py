@@ -216,7 +216,7 @@ class CouplingModel:
                 read = model._torque(motion, source, nonlinear, genes, lag=lag) if torque is None else torque
                 same_delay = None if term.delays else source
                 for _ in values:
-                    ends = model._beside(nonlinear, len(found))
+                    ends = model._ends_of_difference(nonlinear, len(found))
                     low, high = (
                         model._without_initial_states(
                             motion, model._torque(motion, same_delay, end, genes, lag=lag) - read, end
@@ -226,7 +226,7 @@ class CouplingModel:
                     found.append((high - low) / (ends[1] - ends[0])[len(found)])
         return np.stack(found, axis=1) if found else np.empty((len(motion), 0))
 
-    def _beside(self, nonlinear: Array, at: int) -> Array:
+    def _ends_of_difference(self, nonlinear: Array, at: int) -> Array:
         """Return the nonlinear parameters (2, q) with the parameter `at` slightly lower, and slightly higher."""
         parameter = self.nonlinear[at]
         never_zero = parameter.positive and parameter.absent is None
@@ -338,7 +338,10 @@ class CouplingModel:
                 yield term, bends, valued.get(term.name, np.empty(0))
 
     def _pushed(self, regressors: Regressors, nonlinear: Array | None, genes: Array, moved: Array) -> Array:
-        """Return the change of the torque, N m, when the deflection changes by `moved` (n,), rad, for genes (p,)."""
+        """Return the change of the torque, N m, when the deflection changes by `moved` (n,), rad, for genes (p,).
+
+        The derivative by the ends of a gap needs it. Terms without `pushed` do not change.
+        """
         parts, at = [], 0
         for term, _, own in self._present(nonlinear):
             count = sum(not parameter.nonlinear for parameter in term.parameters)
@@ -349,10 +352,10 @@ class CouplingModel:
         return np.asarray(sum(parts[1:], start=parts[0]))
 
     def _stacked(
-        self, source: ColumnSource, nonlinear: Array | None, changing: tuple[Motion, Motion] | None = None
+        self, source: ColumnSource, nonlinear: Array | None, motion_rates: tuple[Motion, Motion] | None = None
     ) -> Array:
-        """Return the columns (n, p) of all terms; with `changing`, their time derivatives."""
-        columns = source.columns(self._present(nonlinear), changing)
+        """Return the columns (n, p) of all terms; with `motion_rates`, their time derivatives."""
+        columns = source.columns(self._present(nonlinear), motion_rates)
         return np.stack(columns, axis=1).astype(np.float64, copy=False)
 
 

@@ -61,7 +61,7 @@ def _loaded(angle: Array, motion: Motion, lag: float, _smoothing: float, values:
 def _fading(motion: Motion, own: Array) -> Array:
     """Return the weight (n,), 1 to 0, that the initial state of its piece still has at each sample.
 
-    own: the term's nonlinear parameters, the deflection over which the friction builds up last.
+    own: the term's nonlinear parameters; the last is the deflection, rad, over which the friction builds up.
     """
     return motion.fading(motion.travelled, float(own[-1]))
 

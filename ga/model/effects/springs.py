@@ -112,8 +112,10 @@ def _exponential(regressors: Regressors) -> tuple[Array, ...]:
     return (np.sign(angle) * _lifted(np.abs(angle), regressors.own),)
 
 
-def _times_square(parameter: Parameter) -> Callable[..., Array]:
-    """Return the deviation of a spring by a power two higher than that of the column of a parameter."""
+def _departing_by_square(parameter: Parameter) -> Callable[..., Array]:
+    """Return `Term.deviation` of a spring, by which a real one departs from its law: the column of `parameter` times
+    the deflection squared.
+    """
 
     def deviation(motion: Motion, columns: Mapping[Parameter, Array], _values: Mapping[Parameter, float]) -> Array:
         return columns[parameter] * motion.dtheta**2
@@ -224,7 +226,7 @@ QUINTIC: Final = Term(
     **_of_power(5),
     needs="cubic",
     role="curve",
-    deviation=_times_square(_K5),
+    deviation=_departing_by_square(_K5),
     example="K5 2, 10, 40 % of torque",
     equation="K5*x^5",
 )
@@ -293,7 +295,7 @@ EXPONENTIAL: Final = Term(
     pushed=_rising(lambda r: _risen(abs(r.angle), r.own)),
     bounds=lambda m, _highest: ((0.0, STEEPEST / _furthest(m)),),
     role="curve",
-    deviation=_times_square(_KC),
+    deviation=_departing_by_square(_KC),
     excludes=_POWERS,
     reason=_REASON,
     example="Kh 5, 20, 80 % of torque; exponent 4 1/rad",
@@ -308,7 +310,7 @@ TOE: Final = Term(
     pushed=_rising(lambda r: _risen(r.angle, r.own)),
     bounds=lambda m, _highest: ((-STEEPEST / _furthest(m), STEEPEST / _furthest(m)),),
     role="curve",
-    deviation=_times_square(_KC),
+    deviation=_departing_by_square(_KC),
     needs="offset",
     excludes=(*_POWERS, "progressive", "exponential"),
     reason=_REASON,

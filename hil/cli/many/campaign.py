@@ -71,7 +71,7 @@ def hand(
 
 
 def _conducted(loaded: Plan, *, dry_run: bool, yes: bool, workers: int, as_json: bool) -> None:
-    from hil.campaign import conduct, page
+    from hil.campaign import conduct, table
     from hil.campaign.journal import Journal
     from hil.campaign.results import results
     from hil.report.formatting import Section
@@ -90,12 +90,12 @@ def _conducted(loaded: Plan, *, dry_run: bool, yes: bool, workers: int, as_json:
         conduct.identify_all(loaded, journal, replace(desk, progress=show), workers=workers)
     found = results(loaded, journal)
     if as_json:
-        print_json(page.as_json(loaded, found))
+        print_json(table.as_json(loaded, found))
     else:
-        out(page.verdict(found))
-        out_section(Section(loaded.settings.name, page.table(found)))
-    note(f"wrote {page.write_results(loaded, found, command_line())}")
-    print_diagnostics(page.diagnostics(found))
+        out(table.verdict(found))
+        out_section(Section(loaded.settings.name, table.table(found)))
+    note(f"wrote {table.write_results(loaded, found, command_line())}")
+    print_diagnostics(table.diagnostics(found))
     if not found.complete:
         raise typer.Exit(UNTRUSTWORTHY)
 

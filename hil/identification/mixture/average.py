@@ -111,7 +111,7 @@ def _likely_models(largest: Largest, more: Array, selected: Selected) -> Iterato
     yield from aged
     least = min(odds for _, odds in aged)
     for larger, effect in hidden(largest, selected):
-        found = [(*integrated(larger, effect.size, one.likely), odds) for one, odds in aged]
+        found = [(*integrated(larger, effect.size, one.prior), odds) for one, odds in aged]
         against = [odds + further + effect.against for _, further, odds in found]
         too_likely = max(least - min(against), 0.0) + 2.0 * math.log(effect.among)
         for (one, *_), odds in zip(found, against, strict=True):
@@ -134,11 +134,11 @@ def _late(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, float
     at, is_selected = largest.names.index(delays[0]), bool(of_kind((p.name for p in selected.model.nonlinear), "delay"))
     found, variance = float(largest.values[at]), float(largest.sampling.matrix[at, at])
     usual = c.TICK_SHARE * float(np.median(np.diff(selected.data.motion.time)))
-    for size, rare in ((usual, 0.0), (math.inf if is_selected else c.LATE_READING, c.ONE_IN_TEN)):
-        likely, both = largest.likely.copy(), variance + size**2
-        likely[1, at] = size
+    for size, odds_against in ((usual, 0.0), (math.inf if is_selected else c.LATE_READING, c.ONE_IN_TEN)):
+        prior, both = largest.prior.copy(), variance + size**2
+        prior[1, at] = size
         by_size = found**2 / both + math.log(both / variance) if math.isfinite(size) else AKAIKE
-        yield replace(largest, likely=likely), rare + by_size
+        yield replace(largest, prior=prior), odds_against + by_size
 
 
 def _hidden(one: Selected, stiffness: float) -> float:
@@ -212,7 +212,7 @@ def _mean(largest: Largest, doubtful: Mapping[str, float]) -> dict[str, Averaged
         # the model's own terms were found possible without what is added: a skew beside an inertia takes it over, and
         # the inertia is then zero
         [at for at, name in enumerate(names) if name in costs and name in PARAMETERS and PARAMETERS[name].positive],
-        largest.likely,
+        largest.prior,
         bounded=[names.index(one.name) for one in largest.model.linear if one.positive and one.name not in costs],
     )
     if found is None:

@@ -73,13 +73,13 @@ def hidden(largest: Largest, selected: Selected) -> Iterator[tuple[Largest, Hidd
             yield replace(largest, names=names, columns=columns, values=values, sampling=sampling), effect
 
 
-def integrated(larger: Largest, size: float, likely: Array) -> tuple[Largest, float]:
+def integrated(larger: Largest, size: float, prior: Array) -> tuple[Largest, float]:
     """Return the fit integrated over its last parameter, and twice the log odds against that parameter.
 
-    size: the standard deviation of that parameter before the data are seen. likely (2, p): those of the others.
+    size: the standard deviation of that parameter before the data are seen. prior (2, p): those of the others.
     """
     sampling = larger.sampling
-    penalty = np.column_stack([likely, [0.0, size]])
+    penalty = np.column_stack([prior, [0.0, size]])
     fewer, matrix, criterion = without_positive(larger.values, sampling.matrix, penalty)
     known = np.stack([np.zeros(len(fewer)), np.full(len(fewer), np.inf)])  # used already
     found = replace(
@@ -88,7 +88,7 @@ def integrated(larger: Largest, size: float, likely: Array) -> tuple[Largest, fl
         columns=larger.columns[:, :-1],
         values=fewer,
         sampling=replace(sampling, matrix=matrix, quantile=sampling.quantile[:-1], distinct=sampling.distinct[:-1]),
-        likely=known,
+        prior=known,
     )
     return found, criterion / _blurred(larger)
 

@@ -43,7 +43,7 @@ class Largest:
 
     names: the parameters of the model, and that of friction that builds up if this term was added. values (p,): their
     values, SI. columns (n, p) and target (n,), N m: the linear problem around the fit. sampling: the covariance of the
-    values. likely (2, p): the expected value of each parameter and its standard deviation before the data are seen.
+    values. prior (2, p): the expected value of each parameter and its standard deviation before the data are seen.
     """
 
     model: CouplingModel
@@ -53,7 +53,7 @@ class Largest:
     target: Array
     values: Array
     sampling: Covariance
-    likely: Array
+    prior: Array
 
     @property
     def is_possible(self) -> bool:
@@ -129,9 +129,9 @@ def largest_model(selected: Selected, doubtful: Sequence[str]) -> Largest | None
         sampling = covariance(Blocks.of(columns, target), values)
         alike = [term for term in added if not all(sampling.distinct[names.index(name)] for name in own(term))]
         if not alike:
-            likely = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
-            likely[:, [name == _PRESLIDING for name in names]] = 1.0
-            return Largest(larger, tuple(added), names, columns, target, values, sampling, likely)
+            prior = np.stack([np.zeros(len(names)), np.full(len(names), np.inf)])
+            prior[:, [name == _PRESLIDING for name in names]] = 1.0
+            return Largest(larger, tuple(added), names, columns, target, values, sampling, prior)
         added.remove(alike[-1])
 
 

@@ -46,7 +46,7 @@ def average(
     covariance: Array,
     costs: Mapping[int, float],
     positive: Sequence[int],
-    likely: Array,
+    prior: Array,
     *,
     bounded: Sequence[int] = (),
 ) -> Average | None:
@@ -54,7 +54,7 @@ def average(
 
     values (p,) and covariance (p, p): of the model with all parameters. costs: for each doubtful parameter, by index,
     how much the parameter must raise twice the log likelihood for a model with it to be as likely as a model without
-    it. positive: indices of parameters whose negative estimate makes a model impossible. likely (2, p): the expected
+    it. positive: indices of parameters whose negative estimate makes a model impossible. prior (2, p): the expected
     value of each parameter and its standard deviation, infinite if nothing is known; the expected value has the more
     weight the less the data determine the parameter (ridge regression). bounded: parameters of every model that are set
     to zero if their estimate is negative, with the variance that they have without that bound.
@@ -63,9 +63,7 @@ def average(
     if not (np.isfinite(variance).all() and (variance > 0.0).all()):
         return None
     size = np.sqrt(variance)
-    values, covariance = _penalised(
-        values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
-    )
+    values, covariance = _penalised(values / size, covariance / np.outer(size, size), prior[0] / size, size / prior[1])
     found = []
     for count in range(len(costs) + 1):
         for left_out in combinations(costs, count):
@@ -82,28 +80,26 @@ def average(
     return Average(mean * size, np.sqrt(variance) * size, left, weights)
 
 
-def without_positive(values: Array, covariance: Array, likely: Array) -> tuple[Array, Array, float]:
+def without_positive(values: Array, covariance: Array, prior: Array) -> tuple[Array, Array, float]:
     """Integrate over the last parameter: return values (p - 1,) and covariance (p - 1, p - 1) of the others, and a
     change of criterion.
 
-    likely (2, p): see `average`. The last parameter is expected around zero and cannot be negative, so its distribution
+    prior (2, p): see `average`. The last parameter is expected around zero and cannot be negative, so its distribution
     is the positive part of a normal distribution, represented by its mean and variance. The last result is Akaike's
     criterion with the parameter less that without. Its penalty is weighted by how far the data, and not the expected
     size, determine the parameter.
     """
     size = np.sqrt(np.diag(covariance))
-    values, covariance = _penalised(
-        values / size, covariance / np.outer(size, size), likely[0] / size, size / likely[1]
-    )
+    values, covariance = _penalised(values / size, covariance / np.outer(size, size), prior[0] / size, size / prior[1])
     # where the data say next to nothing of it, rounding leaves zero of its variance, or more than of its likely size
-    most, error = float(likely[1, -1] / size[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
+    most, error = float(prior[1, -1] / size[-1]), math.sqrt(max(float(covariance[-1, -1]), 0.0))
     error = min(error or most, most)
     centre = float(values[-1]) / error
     mean, spread = _positive_part(centre)
     gain = covariance[:, -1] / error
     moved = (values + gain * (mean - centre)) * size
     changed = (covariance + np.outer(gain, gain) * (spread**2 - 1.0)) * np.outer(size, size)
-    seen = 1.0 - (error * size[-1] / likely[1, -1]) ** 2
+    seen = 1.0 - (error * size[-1] / prior[1, -1]) ** 2
     return moved[:-1], changed[:-1, :-1], float(AKAIKE * seen - max(centre, 0.0) ** 2)
 
 

@@ -308,7 +308,7 @@ def _noise_of(time: Array, values: Array) -> Array:
 
 def _amplified(half: int, step: float, order: int = 1) -> float:
     """Return the standard deviation of the slope, rad/s, or (order 2) of the curvature, rad/s^2, for noise of 1 rad in
-    the deflection.
+    the deflection. half: neighbours on each side in the window. step: time between two samples, s.
     """
     return float(np.linalg.norm(kernel(half, order))) / step**order
 

@@ -21,9 +21,9 @@ from hil.acquisition.phases import Outcome
 from hil.api.runs import Run, simulate
 from hil.campaign.conduct import Desk, record_all
 from hil.campaign.journal import Journal
-from hil.campaign.page import diagnostics, table, write_page
 from hil.campaign.plan import load
 from hil.campaign.results import Line, Measured, Results, Value, marked, scores
+from hil.campaign.table import diagnostics, table, write_page
 from hil.diagnostics import Diagnostic, over_limit
 from hil.errors import Declined, WrongUse
 from hil.stand.toml_table import line_of
