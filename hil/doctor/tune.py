@@ -196,9 +196,10 @@ def _report(checks: CheckList, backend: str, found: list[tuple[Setting, Reached]
         message += f"; with {own.named(backend)}, as it is now, {now.rate:g} Hz"
     if not setting.urgent and "the real-time class" in missing_permissions():
         message += f"; the real-time class may get more: {PERMISSION}"
-    changed = [
-        f"set {backend}.return_delay = {setting.return_delay:g}" * (setting.return_delay != own.return_delay),
-        f"set the latency timer to {setting.latency} ms" * (setting.latency != own.latency),
-    ]
-    todo = " and ".join(one for one in changed if one)
+    changed = list[str]()
+    if setting.return_delay != own.return_delay:
+        changed.append(f"set {backend}.return_delay = {setting.return_delay:g}")
+    if setting.latency != own.latency:
+        changed.append(f"set the latency timer to {setting.latency} ms")
+    todo = " and ".join(changed)
     checks.add("tune", Verdict.OK if not todo else Verdict.WARNING, f"{message}{f': {todo}' if todo else ''}")

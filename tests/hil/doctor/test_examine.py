@@ -338,6 +338,15 @@ def test_tuning_finds_the_rate_that_the_wire_permits_and_names_the_key_that_gets
     assert not rig.device.motor.enabled
 
 
+def test_tuning_a_drive_without_a_return_delay_names_the_rate_and_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hil.doctor.tune, "_TICKS", 100)
+    stand = parse('[stand]\nbackend = "sim"\n[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n')
+    examine(checks := CheckList(), stand, Quantity.TORQUE, rate=200.0, move=False, tuned=True)
+    assert verdicts(checks)["tune"] == "ok"
+    assert "is the highest rate" in message(checks, "tune")
+    assert "return_delay" not in message(checks, "tune")
+
+
 @pytest.mark.study
 def test_a_rate_at_which_replies_are_lost_is_not_one_at_which_they_are_in_time(make_rig: Callable[..., Any]) -> None:
     rig = make_rig()
