@@ -53,7 +53,7 @@ def look(
     for pair in PAIRS:
         if any(one in (columns or {}) for one in pair):
             read.pop(pair[0], None)
-    read |= {channel: one for channel, one in (columns or {}).items() if _has(table, one)}
+    read |= {channel: one for channel, one in (columns or {}).items() if _can_be(table, channel, one)}
     rate = chosen.get("rate") or (None if "time" in read else stated_rate(table))
     rows = [
         _HEAD,
@@ -90,9 +90,13 @@ def _numbers(table: Table, titles: Sequence[str]) -> dict[str, Array | WrongUse 
     return found
 
 
-def _has(table: Table, column: Column) -> bool:
+def _can_be(table: Table, channel: str, column: Column) -> bool:
+    """Return whether the table has the column, and no heading says that it is something else than the channel."""
     with suppress(WrongUse):
-        return bool(table.terms(column.name))
+        terms = table.terms(column.name)
+        for one in terms if channel in DIMENSION else ():
+            unit_of(table.titles[table.place(one.column)], DIMENSION[channel])
+        return bool(terms)
     return ":" in column.name
 
 
@@ -173,6 +177,7 @@ def _command(
         elif channel in {"torque", "dtheta"} and not {*columns} & {*dict(PAIRS).items(), channel, dict(PAIRS)[channel]}:
             words += [option, "NAME"]
     words += [f"--{key} {quoted(chosen[key])}" for key in ("topic", "joint") if chosen.get(key)]
+    words += ["--stand FILE"] if {"motor_torque", "motor_position"} & {*columns} else []
     name = source.with_suffix(".h5").name
     return " ".join([*words, "-o", quoted(name if name != source.name else f"{source.stem}-imported.h5")])
 
@@ -180,11 +185,11 @@ def _command(
 def _unit(table: Table, channel: str, column: Column) -> list[str]:
     option = channel.replace("motor_torque", "torque").replace("motor_position", "dtheta").replace("_", "-")
     unit = column.unit
-    if unit is None and channel in DIMENSION:
+    if channel in DIMENSION:
         with suppress(WrongUse):
             terms = [(one, table.titles[table.place(one.column)]) for one in table.terms(column.name)]
             stated = [one.unit or unit_of(title, DIMENSION[channel]) for one, title in terms]
             is_stamp = channel == "time" and {title for _, title in terms} <= {*table.stamps}
-            unit = None if None not in stated or is_stamp else "UNIT"
+            unit = None if None not in stated or is_stamp else unit or "UNIT"
     scale = [] if column.scale == 1.0 else [f"--{option}-scale", f"{column.scale:.9g}"]
     return ([] if unit is None else [f"--{option}-unit", quoted(unit)]) + scale

@@ -56,6 +56,21 @@ def test_the_import_says_what_it_understood(hil: Hil, tmp_path: Path) -> None:
         np.testing.assert_allclose(recording.channel("torque"), -2e-3 * np.sin(np.arange(50, 100)))
 
 
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("--torque tau --dtheta a --torque-unit mN*m", "--torque tau --dtheta a"),
+        ("--torque a --dtheta tau", "--torque NAME --dtheta NAME"),
+        ("--motor-torque tau --motor-position a", "--motor-torque tau --motor-position a --stand FILE"),
+    ],
+)
+def test_the_command_that_was_refused_is_not_offered_again(hil: Hil, tmp_path: Path, words: str, offered: str) -> None:
+    (tmp_path / "a.csv").write_text(GOOD.replace("t,q,a", "t [s],tau [N*m],a [rad]"))
+    status, _, err = hil("import", "a.csv", "-o", "b.h5", "--time", "t", *words.split())
+    assert status == 2
+    assert err.splitlines()[-1] == f"  hil import a.csv --time t {offered} -o a.h5"
+
+
 @pytest.mark.parametrize("words", [(), ("--look",), ("--torque", "cell [mN*m]", "-o", "a.h5", "--look")])
 def test_a_look_shows_what_is_understood_and_the_command_that_imports_it(
     hil: Hil, tmp_path: Path, words: tuple[str, ...]
