@@ -45,6 +45,16 @@ class Steady(NamedTuple):
     readings: int
 
 
+def cell_table(stand: Stand) -> tuple[str, Any]:
+    """Return the kind and the table of the stand's torque cell. Raises WrongUse if the stand has none."""
+    if stand.sensor is None:
+        raise WrongUse(
+            "the stand file has no torque cell: add [joint_sensor] with kind, port and scale (any positive number; the "
+            "calibration replaces it)"
+        )
+    return stand.sensor
+
+
 @contextlib.contextmanager
 def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell]:
     """Yield the stand's torque cell, tared. Its readings are in counts or as printed, not in N m.
@@ -52,12 +62,7 @@ def opened_cell(stand: Stand, clock: Clock | None = None) -> Iterator[TorqueCell
     clock: gives the times of the readings; None: a monotonic clock. Raises WrongUse if the stand has no torque cell,
     DriverError if it cannot be opened.
     """
-    if stand.sensor is None:
-        raise WrongUse(
-            "the stand file has no torque cell: add [joint_sensor] with kind, port and scale (any positive number; the "
-            "calibration replaces it)"
-        )
-    kind, table = stand.sensor
+    kind, table = cell_table(stand)
     bare: Any = dataclasses.replace(table, scale=1.0, sign=1, tare=None, delay=0.0, drift=table.drift / table.scale)
     cell = cast("TorqueCell", open_sensor(kind, bare, clock or MonotonicClock()))
     with contextlib.closing(cell):

@@ -54,12 +54,13 @@ def torque(
     from drivers.clock import MonotonicClock
     from hil.api.calibration import read_loads, store_step, store_torque
     from hil.calibration.points import read_points
-    from hil.calibration.session import opened_cell
+    from hil.calibration.session import cell_table, opened_cell
     from hil.hand.file import load_stand
     from hil.recording.output import check_output
 
     check_output(stand, force=True)  # before the weights are hung
     opened = load_stand(stand, joint)
+    cell_table(opened)
     clock = MonotonicClock()
     if step:
         with opened_cell(opened, clock) as cell:
@@ -112,17 +113,20 @@ def fixture(
     from hil.api import runs
     from hil.api.calibration import store_fixture
     from hil.cli.progress import progress
+    from hil.hand.file import load_stand
     from hil.recording.output import check_output
 
     check_output(stand, force=True)
+    load_stand(stand, joint)  # before the link is mounted
     if recording is None:
+        torque_or_angle, hertz = options.amplitude_of(amplitude, mode), options.band_of(band)
         _wait("put a stiff link in the place of the joint; the motor will push against it", yes=yes)
         run = runs.record(
             stand,
             profile,
             joint=joint,
-            amplitude=options.amplitude_of(amplitude, mode),
-            band=options.band_of(band),
+            amplitude=torque_or_angle,
+            band=hertz,
             duration=duration,
             rate=rate,
             mode=mode,

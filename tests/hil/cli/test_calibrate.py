@@ -201,6 +201,20 @@ def test_a_stand_without_a_cell_and_a_script_without_weights_are_refused(
     assert "[joint_sensor]" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize("words", ["torque --arm 50mm", "torque --points points.csv", "fixture", "fixture --band abc"])
+def test_nobody_is_asked_to_mount_anything_before_the_stand_file_is_right(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("points.csv").write_text("mass,value\n0,0\n0.05,0.1\n0.1,0.2\n")
+    if "--band" in words or "torque" in words:
+        Path("stand.toml").write_text('[stand]\nbackend = "sim"\n')
+    kind, *options = words.split()
+    assert run(["calibrate", kind, "stand.toml", *options]) == 2
+    [said] = capfd.readouterr().err.splitlines()
+    assert any(remedy in said for remedy in ("[joint_sensor]", "check the name", "write LOW:HIGH"))
+
+
 def test_the_zero_is_where_the_motor_rests(stand: Path) -> None:
     stand.write_text(STAND[: STAND.index("[joint_sensor]")] + STAND[STAND.index("[limits]") :])
     assert run(["calibrate", "zero", str(stand), "--yes"]) == 0
