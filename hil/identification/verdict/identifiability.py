@@ -34,7 +34,7 @@ def judge(evidence: Evidence) -> list[Diagnostic]:
     if evidence.holdout.nrmse > c.UNEXPLAINED:
         found.append(
             Diagnostic(
-                "implausible",
+                "not-identifiable",
                 f"model {evidence.model.name} misses {evidence.holdout.nrmse:.0%} of the torque in data that it was "
                 "not fitted to. Torque and deflection hardly depend on each other, so Kc and Bc mean nothing. Check "
                 "units and signs, and that both readings are of the same joint",

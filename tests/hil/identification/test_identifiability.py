@@ -111,6 +111,18 @@ def test_a_wrong_sign_is_the_answer_and_no_value_stands_beside_it(make_recording
     assert work.startswith("excited band")
 
 
+def of_another_joint(channels: dict[str, Array]) -> None:
+    channels["torque"] = 0.01 * np.random.default_rng(1).standard_normal(len(channels["time"]))
+
+
+def test_a_torque_that_the_deflection_does_not_cause_is_no_wrong_sign(make_recording: Maker) -> None:
+    found = identify([make_recording(samples=600, change=of_another_joint)], parse("linear"), SEARCH)
+    assert any("Torque and deflection hardly depend on each other" in one.message for one in found.diagnostics)
+    assert not found.trusted("Kc")
+    assert not found.trusted("Bc")
+    assert "sign" not in headline(found)
+
+
 @pytest.mark.study
 def test_model_selection_never_includes_a_negative_friction(make_recording: Maker) -> None:
     found = identify([make_recording(samples=1000, change=driven_backwards)], None, SEARCH)
