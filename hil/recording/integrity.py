@@ -324,14 +324,20 @@ def open_file(path: Path) -> h5py.File:
         except PermissionError:
             raise WrongUse(f"{path} cannot be opened (permission denied): change the file's permissions") from None
         except OSError as error:
-            hint = (
-                _NO_ROW
-                if path.suffix == ".part"
-                else f"a stand file is named with --stand {quoted(path)}"
-                if path.suffix == ".toml"
-                else "bring CSV data in with `hil import`"
-            )
-            raise WrongUse(f"{path} is not HDF5, or is cut off: {hint}") from error
+            raise WrongUse(f"{path} {_why_illegible(path)}") from error
+
+
+def _why_illegible(path: Path) -> str:
+    """Return what is wrong with a file that HDF5 cannot open, and the remedy."""
+    if path.suffix == ".part":
+        return f"is not HDF5, or is cut off: {_NO_ROW}"
+    with path.open("rb") as file:
+        if (first := file.read(len(_HDF5))) == _HDF5:
+            return "is cut off or damaged: copy it again from where it was recorded, or use another copy"
+    if not first:
+        return "is empty: use another copy"
+    hint = f"a stand file is named with --stand {quoted(path)}" if path.suffix == ".toml" else None
+    return f"is not HDF5: {hint or 'bring CSV data in with `hil import`'}"
 
 
 def refuse_foreign_storage(file: h5py.File, path: Path) -> None:

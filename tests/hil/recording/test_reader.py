@@ -527,7 +527,8 @@ def _external(path: Path) -> None:
     [
         (lambda _: None, "No such file"),
         (lambda path: path.write_text("time,torque\n"), "is not HDF5"),
-        (Path.touch, "is not HDF5"),
+        (Path.touch, "is empty: use another copy"),
+        (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(40)), "is cut off or damaged: copy it again"),
         (_foreign, "hil import"),
         (
             edited(lambda file: file.attrs.update(schema="hil-recording/9", software=json.dumps({"hil": "7.1.0"}))),
