@@ -37,7 +37,7 @@ class _Compiling:
 
     def __call__(self, compiled: int) -> None:
         self._count += compiled
-        self._show(f"compiling, first run only ({self._count} functions done)", math.nan)
+        self._show(f"compiling what runs here for the first time ({self._count} functions done)", math.nan)
 
 
 @contextmanager

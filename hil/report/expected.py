@@ -53,7 +53,8 @@ def missed(found: Identification, expected: Sequence[Expected]) -> list[str]:
         unit = estimate.unit.replace("*", " ")
         value, *ends = (engineering(number, unit, 4) for number in (estimate.value, *estimate.ci95))
         if not one.low <= estimate.value <= one.high:
-            said.append(f"--expect {one.text}: {one.name} is {value}, which is outside")
+            low, high = (engineering(number, unit, 4) for number in (one.low, one.high))
+            said.append(f"--expect {one.text}: {one.name} is {value}, which is not within {low} to {high}")
         elif not (one.low <= estimate.ci95[0] and estimate.ci95[1] <= one.high):
             said.append(
                 f"--expect {one.text}: the 95 % interval of {one.name}, {ends[0]} to {ends[1]}, is not inside: the "

@@ -209,7 +209,7 @@ def _why_not(evidence: Evidence, at: int) -> str:
         return f"Bc cannot be distinguished from dry friction: the joint moved at one speed. {several_speeds(evidence)}"
     if distinguishable(float(evidence.errors.half_width[at]), float(evidence.errors.inflation[at])):
         if evidence.parameters[at].presence:
-            return f"{name} may be zero: its 95 % interval includes zero. Leave its term out of --model"
+            return f"{name} may be zero: its 95 % interval includes zero. Name a --model without its term"
         return _wide(evidence, at)
     return _alike(evidence, at)
 

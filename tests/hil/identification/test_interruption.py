@@ -144,7 +144,7 @@ def test_what_the_first_run_compiles_is_said_at_once_and_goes_on(capfd: pytest.C
     with progress():
         announce(compiled=0)
         announce(compiled=1)
-    assert capfd.readouterr().err.splitlines() == ["compiling, first run only (0 functions done)"]
+    assert capfd.readouterr().err.splitlines() == ["compiling what runs here for the first time (0 functions done)"]
     seconds = iter(range(0, 100, 4))
     lines = Lines(now=lambda: float(next(seconds)))
     for count in range(6):
