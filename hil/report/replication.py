@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +77,8 @@ def _rows(done: Replication) -> list[tuple[str, str, str]]:
 
 
 def _mean(mean: float, std: float) -> str:
-    return f"{mean * 1e3:.4g} ± {std * 1e3:.2g}"
+    spread = f" ± {std * 1e3:.2g}" if math.isfinite(std) else ""  # a single trial has none
+    return f"{mean * 1e3:.4g}{spread}"
 
 
 def write_page(done: Replication, path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +49,14 @@ def test_table_one_stands_beside_the_papers(done: Replication) -> None:
     text = "\n".join(replication_lines(done))
     assert "17.52 ± 6.6" in text
     assert f"{kc['best'] * 1e3:.4f}" in text
+
+
+def test_a_single_trial_has_no_spread_in_table_one(done: Replication) -> None:
+    found = done.identification
+    single = tuple(replace(one, optimiser=replace(one.optimiser, std=math.nan)) for one in found.estimates)
+    lines = replication_lines(replace(done, identification=replace(found, estimates=single)))
+    assert not any("nan" in line for line in lines)
+    assert lines[3].split("std")[1].split() == [f"{one.optimiser.mean * 1e3:.4g}" for one in single]
 
 
 def test_figure_eight_ends_at_the_best_of_each_trial_and_never_rises(done: Replication, tmp_path: Path) -> None:
