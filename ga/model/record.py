@@ -23,19 +23,6 @@ if TYPE_CHECKING:
 ANYWHERE: Final = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Starting values, as fractions of the range, of a nonlinear parameter about whose value nothing is known."""
 
-MIDDLE: Final = (0.3, 0.5, 0.7)
-"""Those of one that is likelier far from both ends of the range."""
-
-_TOP: Final = 0.6
-
-
-def half_decades(count: int) -> tuple[float, ...]:
-    """Return starting values, rising by half a decade each, of a parameter whose size is not known, as fractions of the
-    range.
-    """
-    return tuple(_TOP * 10.0 ** (-0.5 * step) for step in reversed(range(count)))
-
-
 Role = Literal[
     "coupling", "bias", "friction", "damping", "curve", "change", "branch", "mass", "play", "load", "channel", "other"
 ]

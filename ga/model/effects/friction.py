@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import SCALE, STRENGTH, Mark, Parameter, Regressors, Term, half_decades, searched
+from ga.model.record import SCALE, STRENGTH, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -114,7 +114,7 @@ COULOMB: Final = Term(
     equation="Fc*sign(v)",
 )
 
-FALLING: Final = searched("vst", "rad/s", "rate over which it falls", **SCALE, starts=half_decades(4))
+FALLING: Final = searched("vst", "rad/s", "rate over which it falls", **SCALE, starts=(0.02, 0.1, 0.25, 0.5))
 
 STRIBECK: Final = Term(
     "stribeck",
@@ -136,7 +136,9 @@ CAPSTAN: Final = Term(
     "capstan",
     "friction in proportion to the torque, as of a tendon in its sheath",
     (
-        searched("mu", "1", "part of the torque that is friction", "load share", **STRENGTH, starts=half_decades(4)),
+        searched(
+            "mu", "1", "part of the torque that is friction", "load share", **STRENGTH, starts=(0.05, 0.15, 0.3, 0.6)
+        ),
         searched(
             "rest",
             "rad",
@@ -179,7 +181,11 @@ PULLEY: Final = replace(
 SMOOTH: Final = Term(
     "smooth",
     "dry friction that turns smoothly with the rate, as of a lubricated joint",
-    (searched("vr", "rad/s", "rate over which it turns", "turning rate", **SCALE, starts=half_decades(5)),),
+    (
+        searched(
+            "vr", "rad/s", "rate over which it turns", "turning rate", **SCALE, starts=(0.005, 0.02, 0.1, 0.25, 0.5)
+        ),
+    ),
     bounds=over_rates(*TURNS),
     smooths=True,
     role="load",

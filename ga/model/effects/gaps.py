@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import MIDDLE, Mark, Term, searched
+from ga.model.record import Mark, Term, searched
 
 if TYPE_CHECKING:
     from ga.arrays import Array
@@ -98,7 +98,7 @@ _CENTRE: Final = searched(
     "deflection in the middle of the play",
     "gap middle",
     absent=None,
-    starts=MIDDLE,
+    starts=(0.3, 0.5, 0.7),
     kinked=True,
     refined=True,
 )
@@ -145,6 +145,7 @@ SLACK: Final = Term(
             "deflection before the tendon pulls",
             "slack end",
             absent=None,
+            starts=(0.05, 0.2, 0.4, 0.6, 0.8),
             kinked=True,
             refined=True,
         ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ga.model.effects.friction import CAPSTAN, MOST_FRICTION, capstan_bounds
-from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, half_decades, searched
+from ga.model.record import SCALE, STRENGTH, Kind, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     from ga.arrays import Array
@@ -15,6 +15,8 @@ REACHES: Final = (0.002, 0.8)
 """The smallest and the largest deflection over which friction builds up, as fractions of the range of the
 deflection.
 """
+
+_LENGTHS: Final = (0.005, 0.02, 0.06, 0.2, 0.6)  # the starting values of that deflection
 
 
 def _dahl_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float], ...]:
@@ -78,7 +80,7 @@ def _over(name: str, about: str, kind: Kind) -> Parameter:
     """Return the record of a parameter that is a deflection, rad, over which a torque builds up after a reversal.
     about: its meaning.
     """
-    return searched(name, "rad", about, kind, **SCALE, starts=half_decades(5))
+    return searched(name, "rad", about, kind, **SCALE, starts=_LENGTHS)
 
 
 _FRICTION: Final = Parameter("Fd", "N*m", "friction long after a reversal", "presliding friction", **STRENGTH)

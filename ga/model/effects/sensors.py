@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ga.model.record import MIDDLE, STRENGTH, Mark, Parameter, Term, half_decades, searched
+from ga.model.record import STRENGTH, Mark, Parameter, Term, searched
 
 if TYPE_CHECKING:
     from ga.arrays import Array
@@ -87,7 +87,11 @@ DRIFT: Final = Term(
 SKEW: Final = Term(
     "skew",
     "a torque reading older than the angle's",
-    (searched("skew", "s", "age of the torque reading less the angle's", "delay", starts=MIDDLE, refined=True),),
+    (
+        searched(
+            "skew", "s", "age of the torque reading less the angle's", "delay", starts=(0.25, 0.5, 0.75), refined=True
+        ),
+    ),
     bounds=_skew_bounds,
     delays=True,
     selection="considered",
@@ -104,7 +108,7 @@ SKEW: Final = Term(
 LAG: Final = Term(
     "lag",
     "a torque cell that follows with a first-order lag",
-    (searched("lag", "s", "time constant of the torque cell", "lag time", **STRENGTH, starts=half_decades(4)),),
+    (searched("lag", "s", "time constant of the torque cell", "lag time", **STRENGTH, starts=(0.02, 0.1, 0.3, 0.6)),),
     bounds=_until(LONGEST_LAG, 0.5),  # behind a longer one the damping cannot be identified
     cell=_lagged,
     forgets=settling,
@@ -129,7 +133,7 @@ MEAN: Final = Term(
             "time over which a torque reading is the mean, half before and half after; its delay is the skew",
             "mean time",
             **STRENGTH,
-            starts=half_decades(3),
+            starts=(0.1, 0.3, 0.6),
         ),
     ),
     bounds=_until(LONGEST_MEAN, 0.7),  # a sine is lost in its mean over a period

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ga.model.effects.gaps import GAPS, extent
 from ga.model.effects.sensors import settling
-from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, half_decades, searched
+from ga.model.record import STRENGTH, Mark, Parameter, Regressors, Term, searched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -38,6 +38,8 @@ SHORTEST_RELAXATION: Final = 0.02
 equals a damping.
 """
 
+_TIMES: Final = (0.0002, 0.0007, 0.002, 0.007, 0.02, 0.07, 0.2, 0.6)  # the starting values of a relaxation time
+
 _SMALL_STRETCH: Final = 1e-3  # below which the first powers of an exponential are enough
 
 
@@ -59,9 +61,7 @@ def _furthest(motion: Motion) -> float:
 
 
 def _of_power(degree: int) -> dict[str, Any]:
-    """Return how the torque of a spring in proportion to a power of the deflection is computed, as keywords of its
-    term.
-    """
+    """Return `columns` and `pushed` of a spring whose torque is a power of the deflection, as keywords of its term."""
 
     def raised(angle: Array, power: int) -> Array:
         import numpy as np
@@ -70,8 +70,8 @@ def _of_power(degree: int) -> dict[str, Any]:
         return np.asarray(prod([*squares, angle] if power % 2 else squares))
 
     def pushed(regressors: Regressors, genes: Array, moved: Array) -> Array:
-        found: Array = degree * genes[0] * raised(regressors.angle, degree - 1) * moved
-        return found
+        change: Array = degree * genes[0] * raised(regressors.angle, degree - 1) * moved
+        return change
 
     return {"columns": lambda r: (raised(r.angle, degree),), "pushed": pushed}
 
@@ -168,7 +168,7 @@ def _branch(number: int, needs: str, example: str) -> Term:
                 absent=None,
                 positive=True,
                 open_ended=True,
-                starts=half_decades(8),
+                starts=_TIMES,
             ),
         ),
         columns=lambda r: (_unrelaxed(r, r.angle),),
