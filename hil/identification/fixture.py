@@ -83,16 +83,12 @@ def without_fixture(joint: Identification, fixture: Identification) -> Identific
     is_whole = len(joint.recordings) == 1 and len(signals) >= joint.samples
     excitation = Excitation.of(motion.time, motion.dtheta) if is_whole else Excitation.flat(signals.band)
     coupling = corrected(_element(joint), _element(fixture), excitation)
-    corrections = {
-        "Kc": (coupling.stiffness, coupling.stiffness_error),
-        "Bc": (coupling.damping, coupling.damping_error),
-    }
+    stiffness, damping = (coupling.stiffness, coupling.stiffness_error), (coupling.damping, coupling.damping_error)
+    corrections = {"Kc": stiffness, "Bc": damping}
     # the torque's scale has the same relative error in both, and so in the difference
-    scale_uncertainty = joint.torque_scale.included
+    scale = joint.torque_scale.included
     estimates = tuple(
-        _corrected(estimate, *corrections[estimate.name], scale_uncertainty)
-        if estimate.name in corrections
-        else estimate
+        _corrected(estimate, *corrections[estimate.name], scale) if estimate.name in corrections else estimate
         for estimate in joint.estimates
     )
     no_longer_identifiable = [

@@ -121,7 +121,6 @@ NYQUIST = 0.9  # of half the sampling rate, below which the stop band must begin
 LEFT_BY_FILTER = 0.8  # of the samples, that the low-pass must leave
 KEPT_WEIGHTS = 100_000  # samples whose weights, 20 MB, are kept for the next columns at the same stamps
 
-
 # Spectrum of the deflection
 OUTSIDE_BAND = 0.01  # of the deflection's power below the band, and of the rate's above it
 SMOOTHED_LINES = 5  # lines of the spectrum whose mean is one density

@@ -13,18 +13,7 @@ from ga.arrays import Array
 from hil.diagnostics import Diagnostic, again, driven_by_position, lateness
 from hil.recording.channels import LARGEST
 from hil.recording.reader import Recording
-from hil.signals.constants import (
-    ENOUGH,
-    FEW_COUNTS,
-    GAIN_ERROR,
-    LOST_ROWS,
-    MANY,
-    POOR_SNR,
-    SPARSE,
-    SPREAD,
-    TICK_SHARE,
-    WINDOWS,
-)
+from hil.signals import constants as c
 from hil.signals.defects import Defects
 from hil.signals.deflection_noise import smallest_step
 from hil.signals.plausibility import Swing, negative_stiffness, unit_diagnostics, wrong_sign
@@ -124,7 +113,7 @@ def recording_diagnostics(recording: Recording, quality: Quality, limits: Limits
 
 def _has_unused_rate(recording: Recording) -> bool:
     """Return whether the table has a rate. A recorder computes one from the motor's position, for the limits alone."""
-    rate, position = (recording.channel(name, 0, ENOUGH) for name in ("dtheta_dot", "motor_position"))
+    rate, position = (recording.channel(name, 0, c.ENOUGH) for name in ("dtheta_dot", "motor_position"))
     return bool(np.isfinite(rate).any() and not np.isfinite(position).any())
 
 
@@ -143,7 +132,7 @@ def _unfinished(recording: Recording) -> list[Diagnostic]:
 
 def _unused_rows(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     defects, rows, found = quality.defects, quality.samples, []
-    if defects.lost > LOST_ROWS * rows:
+    if defects.lost > c.LOST_ROWS * rows:
         lost = (
             f"{defects.lost} of {rows} replies were lost and are left out. Check cable and baud rate; hil doctor shows "
             "how often replies are lost"
@@ -224,7 +213,7 @@ def _unknown_rates(defects: Defects, rows: int, *, imported: bool) -> list[Diagn
             f"{defects.near_gaps} rows beside a gap lack rate or acceleration and are not used: record without a pause"
         )
         found.append(Diagnostic("unknown-rate", gaps))
-    if defects.jerked > MANY * rows:
+    if defects.jerked > c.MANY * rows:
         smoother = again(
             "Drive a multisine or a chirp, or read the sensors more often", "--profile, --rate", imported=imported
         )
@@ -248,14 +237,14 @@ def _weaknesses(quality: Quality, *, imported: bool) -> list[Diagnostic]:
     larger = again("record a larger motion", "--amplitude", imported=imported)
     counts, found = quality.deflection / quality.deflection_lsb, []
     saturated = quality.saturated / quality.samples
-    if saturated > LOST_ROWS:
+    if saturated > c.LOST_ROWS:
         softer = again("drive with less torque", "--amplitude", imported=imported)
         text = f"the torque limit cut the command in {saturated:.1%} of the rows: {softer}"
         found.append(Diagnostic("saturated", text))
-    if counts < FEW_COUNTS:
+    if counts < c.FEW_COUNTS:
         text = f"the deflection spans {counts:.0f} counts of the encoder: {larger}"
         found.append(Diagnostic("deflection-noise", text, is_error=counts < 3.0))
-    if quality.snr < POOR_SNR:
+    if quality.snr < c.POOR_SNR:
         text = f"the torque is only {quality.snr:.0f} dB above its noise: {larger}"
         found.append(Diagnostic("poor-snr", text, is_error=quality.snr < 3.0))
     return found
@@ -267,7 +256,7 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
         f"the sensor of the {one.channel} has {1.0 / one.step:.3g} readings a second, {shown}, and the recording has "
         f"{1.0 / one.tick:.3g} rows a second"
     )
-    if one.channel == "deflection" and highest * one.step > SPARSE:
+    if one.channel == "deflection" and highest * one.step > c.SPARSE:
         return Diagnostic(
             "slow-sensor",
             f"{text}. The joint moves at up to {highest:.3g} Hz, too fast for these readings, so Kc and Bc are wrong. "
@@ -275,9 +264,9 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
             is_error=True,
         )
     text += ". Only the sensor's own readings are used"
-    if one.unsure > TICK_SHARE * one.tick:
+    if one.unsure > c.TICK_SHARE * one.tick:
         text += f". Their age is known to {1e3 * one.unsure:.2g} ms, so Bc is less certain"
-    if one.drifts > TICK_SHARE * one.tick:
+    if one.drifts > c.TICK_SHARE * one.tick:
         text += f". Their age may change by {1e3 * one.drifts:.2g} ms during the recording, so Bc is less certain"
     text += ". Record the sensor's own readings with its own time stamps"
     return Diagnostic("slow-sensor", text, "Bc")
@@ -286,8 +275,8 @@ def _slow(one: Slower, highest: float, *, imported: bool) -> Diagnostic:
 def _flagged(recording: Recording, *flags: Status) -> list[int]:
     """Return the number of rows with each of the flags: saturated and late."""
     counts = [0] * len(flags)
-    for start in range(0, len(recording), ENOUGH):
-        status = recording.channel("status", start, start + ENOUGH).astype(np.int64)
+    for start in range(0, len(recording), c.ENOUGH):
+        status = recording.channel("status", start, start + c.ENOUGH).astype(np.int64)
         counts = [count + int(np.count_nonzero(status & int(flag))) for count, flag in zip(counts, flags, strict=True)]
     return counts
 
@@ -298,12 +287,12 @@ def _noise(signals: Signals) -> float:
     """
     time = signals.motion.time
     cycles = signals.band[1] * mean_step(time)
-    if cycles > SPARSE:
+    if cycles > c.SPARSE:
         return _noise_beside_motion(signals)
-    half = widest(0, cycles, max(2, (len(time) - 1) // WINDOWS), GAIN_ERROR)
+    half = widest(0, cycles, max(2, (len(time) - 1) // c.WINDOWS), c.GAIN_ERROR)
     residual = signals.as_read - local_polynomial(time, signals.as_read, half, 0)
     # a window across a pause gives no value
-    return SPREAD * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
+    return c.SPREAD * float(np.nanmedian(np.abs(residual))) / float(np.sqrt(1.0 - kernel(half, 0)[half]))
 
 
 def _noise_beside_motion(signals: Signals) -> float:
@@ -311,7 +300,7 @@ def _noise_beside_motion(signals: Signals) -> float:
     motion = signals.motion
     columns = np.stack([motion.dtheta, motion.dtheta_dot, motion.dtheta_ddot, np.ones(len(motion))], axis=1)
     residual = signals.as_read - columns @ np.linalg.lstsq(columns, signals.as_read, rcond=None)[0]
-    return SPREAD * float(np.median(np.abs(residual)))
+    return c.SPREAD * float(np.median(np.abs(residual)))
 
 
 def _count(stretch: Signals, dtheta: Array) -> float:

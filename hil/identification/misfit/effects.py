@@ -22,18 +22,10 @@ from ga.model.sticking import FULL
 from ga.model.terms import SMALLEST, TERMS, compatible_model
 from ga.model.trajectory import Motion
 from hil.identification.deflection.instruments import delayed
+from hil.signals import constants as c
 from hil.signals.angle import difference
-from hil.signals.constants import (
-    DENSE_READINGS,
-    DIFFERENCE,
-    LENGTHS,
-    NEAR_READINGS,
-    SHORT_LAG,
-    SMALL_TORQUE,
-    TIMES,
-)
 
-_SIXTH: Final = difference(DIFFERENCE)
+_SIXTH: Final = difference(c.DIFFERENCE)
 NOISE_GAIN: Final = float(_SIXTH @ _SIXTH)
 """The variance of `reading_noise` if the deflection has white noise of variance one."""
 
@@ -130,7 +122,7 @@ def _columns(*columns: Array) -> Array:
 
 def _smooth(motion: Motion, values: Array) -> Array:
     """Return values (n,) without the noise of their readings, which is listed as a separate effect."""
-    return smoothed(motion, values, 1.0 / DENSE_READINGS / motion.step)
+    return smoothed(motion, values, 1.0 / c.DENSE_READINGS / motion.step)
 
 
 def _grid(motion: Motion, parameter: Parameter) -> tuple[float, ...]:
@@ -139,12 +131,12 @@ def _grid(motion: Motion, parameter: Parameter) -> tuple[float, ...]:
     """
     reach, shortest = 0.5 * float(np.ptp(motion.dtheta)), 2.0 * motion.step
     if parameter.kind == "relaxation time":
-        return tuple(constant for constant in TIMES if constant > shortest)
+        return tuple(constant for constant in c.TIMES if constant > shortest)
     if parameter.kind == "presliding length":
-        return tuple(part * reach for part in LENGTHS[1::2])
+        return tuple(part * reach for part in c.LENGTHS[1::2])
     if parameter.kind == "gap width":
-        return tuple(2.0 * part * reach for part in LENGTHS)
-    return (0.0 if parameter.place else max(SHORT_LAG, shortest),)
+        return tuple(2.0 * part * reach for part in c.LENGTHS)
+    return (0.0 if parameter.place else max(c.SHORT_LAG, shortest),)
 
 
 def _of_term(term: Term, motion: Motion, torque: Array, model: Array) -> Iterator[Array]:
@@ -177,7 +169,7 @@ def _angles(term: Term, motion: Motion, torque: Array) -> list[Array]:
     """
     angle, size = centred(motion), np.abs(torque)
     if term.role == "play" or (term.role == "curve" and term.linear):
-        return [angle - float(np.median(angle[size <= np.quantile(size, SMALL_TORQUE)])), angle]
+        return [angle - float(np.median(angle[size <= np.quantile(size, c.SMALL_TORQUE)])), angle]
     return [_smooth(motion, motion.dtheta) if term.forgets is not None else angle]
 
 
@@ -210,7 +202,7 @@ def reading_noise(motion: Motion) -> Array:
 
 def of_readings(motion: Motion) -> Array:
     """Return the torque (n, k) that noise of the deflection may add to the residuals, in any unit."""
-    shifts = range(-NEAR_READINGS, NEAR_READINGS + 1)  # a delay in the model takes the reading of a neighbour
+    shifts = range(-c.NEAR_READINGS, c.NEAR_READINGS + 1)  # a delay in the model takes the reading of a neighbour
     noise, smooth = (
         np.stack([delayed(motion, values, shift * motion.step) for shift in shifts], axis=1)
         for values in (reading_noise(motion), _smooth(motion, centred(motion)))
