@@ -40,7 +40,6 @@ from hil.recording.writer import Header, RecordingWriter  # noqa: E402
 from hil.recording.writer_process import drain  # noqa: E402
 from hil.stand.file import parse  # noqa: E402
 from sim_backend.fault_plan import DRIVE, HOST, LINK, FaultPlan, PlannedFault  # noqa: E402
-from sim_backend.faults import WatchdogBroken  # noqa: E402
 from sim_backend.faulty_servo import FaultyServo  # noqa: E402
 from sim_backend.parameters import SimParameters  # noqa: E402
 from sim_backend.servo import SimServo  # noqa: E402
@@ -107,8 +106,7 @@ def on_the_wire(rig: Any, limits: Limits, can: bool, plan: FaultPlan) -> Stand:
 def simulated(plan: FaultPlan) -> Stand:
     """Return the simulated servo."""
     clock = VirtualClock()
-    broken = (WatchdogBroken(),) if "broken-watchdog" in plan.kinds() else ()
-    inner = SimServo(SimParameters(), seed=0, clock=clock, faults=broken)
+    inner = SimServo(SimParameters(), seed=0, clock=clock, watched="broken-watchdog" not in plan.kinds())
     servo = FaultyServo(cast("Servo", inner), plan, lambda _: None)
     stand = Stand(servo, rigs.SIM_LIMITS, lambda: inner.true_state().enabled, lambda _: None)
 

@@ -46,7 +46,6 @@ REMEDY = {
     FED,
     FAULT,
     SATURATED,
-    FROZEN,  # rad: the angle that a frozen encoder repeats; NaN while it works
     MAX_TORQUE,
     MAX_VELOCITY,
     MAX_TEMPERATURE,
@@ -61,7 +60,7 @@ REMEDY = {
     INTEGRAL_GAIN,
     DAMPING_GAIN,
     PLACES,
-) = range(22)
+) = range(21)
 
 
 @compiled_no_refcount
@@ -96,8 +95,7 @@ def _beat(path: Path, memory: Vector, now: float) -> int:
         memory[POSITION_MODE] = memory[NEXT_POSITION]
         memory[SETPOINT] = memory[NEXT_VALUE]
         memory[NEXT_AT] = math.inf
-    velocity = path[STATE, VELOCITY] if math.isnan(memory[FROZEN]) else 0.0
-    if abs(velocity) > memory[MAX_VELOCITY]:
+    if abs(path[STATE, VELOCITY]) > memory[MAX_VELOCITY]:
         return 1
     if path[STATE, WINDING] > memory[MAX_TEMPERATURE]:
         return 2
@@ -114,11 +112,8 @@ def _regulate(path: Path, memory: Vector) -> None:
     wanted = memory[SETPOINT]
     if memory[POSITION_MODE] != 0.0:
         position = math.floor(path[STATE, MOTOR] / memory[LSB] + 0.5) * memory[LSB]
-        velocity = path[STATE, VELOCITY]
-        if not math.isnan(memory[FROZEN]):
-            position, velocity = memory[FROZEN], 0.0
         error = memory[SETPOINT] - position
-        wanted = memory[GAIN] * error - memory[DAMPING_GAIN] * velocity + memory[INTEGRAL]
+        wanted = memory[GAIN] * error - memory[DAMPING_GAIN] * path[STATE, VELOCITY] + memory[INTEGRAL]
         if abs(wanted) <= ceiling:  # an integral that goes on while the torque cannot would wind up
             memory[INTEGRAL] += memory[INTEGRAL_GAIN] * error * memory[PERIOD]
     if abs(wanted) > ceiling:
@@ -145,7 +140,6 @@ class Drive:
         self.memory = np.zeros(PLACES)
         self._packed = packed(self.constants)
         self._memory, self._clock = _numbers(self.memory), _numbers(self.path[CLOCK])
-        self._memory[FROZEN] = math.nan
         self._memory[NEXT_AT] = math.inf
         self._memory[PERIOD] = 1.0 / drive.loop_rate
         self._memory[WATCHDOG] = watchdog
@@ -209,10 +203,6 @@ class Drive:
         """Switch the output stage off, so that no current flows."""
         self._trip(0)
 
-    def latch(self, code: int) -> None:
-        """Latch the fault `code`, which a test or a fault plan causes, and switch the output stage off."""
-        self._trip(code)
-
     def feed(self) -> None:
         """Reset the watchdog: the host is alive."""
         self._memory[FED] = self._clock[TIME]
@@ -234,13 +224,3 @@ class Drive:
         acted = self._memory[SATURATED] != 0.0
         self._memory[SATURATED] = 0.0
         return acted
-
-    def freeze_encoder(self) -> None:
-        """Make the motor encoder repeat its present count from now on."""
-        memory = self._memory
-        memory[FROZEN] = math.floor(self.path[STATE, MOTOR] / memory[LSB] + 0.5) * memory[LSB]
-
-    @property
-    def frozen(self) -> float:
-        """The angle that a frozen motor encoder repeats, rad; NaN if the encoder is not frozen."""
-        return self._memory[FROZEN]

@@ -62,7 +62,7 @@ class FaultyServo:
         """See `Servo`. If a fault keeps torque-off from the drive, only the drive's watchdog can switch the torque
         off.
         """
-        if not self._acting(("ignored-off", *_GONE)):
+        if not self._acting(("ignored-off", "drop-request", *_GONE)):
             self._servo.close()
 
     def _acting(self, kinds: Collection[str]) -> list[PlannedFault]:

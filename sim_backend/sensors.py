@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.servo import DriverError
 from ga.compiled import compiled_no_refcount
-from sim_backend.drive import FROZEN, Drive
+from sim_backend.drive import Drive
 from sim_backend.integrator import CLOCK, REMEMBERED, TIME, TRIAL, Path, recall
 from sim_backend.plant import CELL, JOINT, MOTOR, TORQUE, VELOCITY, WINDING, Vector
 
@@ -77,11 +77,11 @@ _TORQUE_NOISE, _CELL_NOISE, _CELL_OFFSET, _CELL_DRIFT, _AGES = range(7, 12)
 
 @compiled_no_refcount
 def read_channels(  # noqa: PLR0917 - compiled functions take their parts by position
-    memory: Vector, path: Path, c: Vector, at: float, motor_torque: float, joint_torque: float, reading: Vector
+    path: Path, c: Vector, at: float, motor_torque: float, joint_torque: float, reading: Vector
 ) -> None:
     """Write the measurements of every sensor at `at`, s, into `reading`, (7,).
 
-    The motor position is NaN if a sensor's delay is longer than the stored past. memory, path: of the drive. c:
+    The motor position is NaN if a sensor's delay is longer than the stored past. path: of the drive. c:
     constants of the sensors. motor_torque, joint_torque: noise of the two torques, standard normal.
     """
     state, known = path[TRIAL], True
@@ -102,8 +102,6 @@ def read_channels(  # noqa: PLR0917 - compiled functions take their parts by pos
     reading[_VOLTAGE] = c[_VOLTAGE]
     if not known:
         reading[_POSITION] = math.nan
-    if not math.isnan(memory[FROZEN]):
-        reading[_POSITION], reading[_VELOCITY] = memory[FROZEN], reading[_VELOCITY] * 0.0
 
 
 class Sensors:
@@ -141,7 +139,7 @@ class Sensors:
         be integrated, or a sensor's delay is longer than its stored past.
         """
         drive.run(at)
-        read_channels(drive.memory, drive.path, self._constants, at, motor_torque, joint_torque, self._reading)
+        read_channels(drive.path, self._constants, at, motor_torque, joint_torque, self._reading)
         reading = Reading(*self._reading.tolist())
         if math.isnan(reading.motor_position):
             raise DriverError(

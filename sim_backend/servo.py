@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 from drivers.clock import Clock
 from drivers.gate import Gate
 from drivers.servo import (
-    BadReply,
     Command,
     DeviceFault,
     DriverError,
     Limits,
-    LinkLost,
     NoReply,
     Quantity,
     Sample,
@@ -25,18 +23,6 @@ from drivers.servo import (
     Status,
 )
 from sim_backend.drive import REMEDY, Drive, FaultCode
-from sim_backend.faults import (
-    CorruptReplies,
-    Fault,
-    FaultLatches,
-    RepliesRepeat,
-    Silence,
-    TorqueUnreadable,
-    WatchdogBroken,
-    device_faults,
-    link_ends,
-    within,
-)
 from sim_backend.integrator import STATE
 from sim_backend.neighbours import Neighbours
 from sim_backend.plant import (
@@ -48,7 +34,7 @@ from sim_backend.plant import (
     TORQUE,
     WINDING,
 )
-from sim_backend.sensors import Noise, Reading, Sensors
+from sim_backend.sensors import Noise, Sensors
 
 if TYPE_CHECKING:
     from sim_backend.parameters import SimParameters
@@ -81,10 +67,10 @@ class TrueState:
 
 
 class SimServo:
-    """A simulated servo. The same parameters, seed, faults and commands give the same samples bit for bit.
+    """A simulated servo. The same parameters, seed and commands give the same samples bit for bit.
 
-    faults: planned faults, with times in s since construction. neighbours: as the `turns` of `Neighbours`. Raises
-    ValueError if the seed is negative.
+    watched: whether the drive's watchdog works; `info` states it in any case. neighbours: as the `turns` of
+    `Neighbours`. Raises ValueError if the seed is negative.
     """
 
     def __init__(
@@ -93,7 +79,7 @@ class SimServo:
         *,
         seed: int,
         clock: Clock,
-        faults: tuple[Fault, ...] = (),
+        watched: bool = True,
         neighbours: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self._parameters = parameters.resolved()
@@ -101,17 +87,12 @@ class SimServo:
         self._one_way = 0.5 * self._link.round_trip
         self.clock: Clock = clock
         self._opened = clock.now()
-        broken = any(isinstance(fault, WatchdogBroken) for fault in faults)
-        self._drive = Drive(self._parameters, watchdog=math.inf if broken else self._parameters.link.watchdog)
+        self._drive = Drive(self._parameters, watchdog=self._link.watchdog if watched else math.inf)
         self._sensors = Sensors(self._parameters)
         self._neighbours = Neighbours(self._drive, neighbours, self._sensors.position_lsb)
         self._watches = bool(neighbours)
         self._draws = Noise(seed).draws
-        self._plan = faults
-        self._link_ends = link_ends(faults)
-        self._ahead = deque(device_faults(faults))
         self._under_way: deque[tuple[float, Command]] = deque()
-        self._answered: Reading | None = None
         self.info = ServoInfo(
             backend="sim",
             model="simulated joint",
@@ -135,10 +116,11 @@ class SimServo:
         """Write the limits into the drive and enable it at zero torque.
 
         The lower of the drive's own torque limit and `limits.torque` acts. The position range limits set-points only.
-        Raises LinkLost, NoReply, DeviceFault if a fault is latched, DriverError if the torque limit is below one count.
+        Raises LinkLost if the servo is closed, DeviceFault if a fault is latched, DriverError if the torque limit is
+        below one count.
         """
-        now = self._reach()
-        self._advance(now)
+        self._gate.require_open()
+        self._advance(self.clock.now())
         self._raise_fault()
         if limits.torque < self._sensors.torque_lsb:
             raise DriverError(
@@ -155,49 +137,29 @@ class SimServo:
         lost.
 
         The set-point acts only after its arrival, so the sample holds the state before the set-point. After a fault is
-        latched, every call raises it. Raises NoReply, BadReply, LinkLost, DeviceFault, and DriverError if a neighbour
-        turns.
+        latched, every call raises it. Raises NoReply, LinkLost, DeviceFault, and DriverError if a neighbour turns.
         """
         admitted = self._gate.admit(command)
         out, back, lost, motor_noise, cell_noise = next(self._draws)
-        sent, opened = self._reach(), self._opened
+        sent, opened = self.clock.now(), self._opened
         link = self._link
         outbound, inbound = self._one_way + link.jitter * out, self._one_way + link.jitter * back
         arrived = sent + (outbound if outbound > 0.0 else 0.0)
         returned = arrived + (inbound if inbound > 0.0 else 0.0)
-        self._deliver(arrived - opened)
+        self._take_over(arrived - opened)
         reading = self._sensors.read(self._drive, arrived - opened, motor_noise, cell_noise)
         self._drive.feed()
-        if not self._gate.armed and self._drive.enabled:
-            self._drive.disable()  # the request for torque-off did not reach the drive; this one does
-            self._gate.live = False
         self._under_way.append((arrived + self._delay - opened, admitted.command or Command.rest()))
         if lost < link.lost_reply or returned - sent > link.reply_timeout:
-            self._time_out(sent)
+            self.clock.sleep_until(sent + link.reply_timeout)
+            raise NoReply(f"no reply within {link.reply_timeout * 1e3:.3g} ms")
         self.clock.sleep_until(returned)
         if self._drive.fault:
             self._raise_fault()
-        status = _GOOD
-        if self._plan:
-            reading, status = self._planned(reading, arrived - opened)
         if self._watches and self._gate.armed:
             self._neighbours.look()
         saturated = self._drive.take_saturated() or (command.quantity is Quantity.TORQUE and admitted.clipped)
-        if saturated:
-            status |= Status.SATURATED
-        return Sample(sent, 0.5 * (sent + returned), *reading, status)
-
-    def _planned(self, reading: Reading, t: float) -> tuple[Reading, Status]:
-        """Apply the planned faults to a reading at `t` s. Return the reading and its status. Raises BadReply."""
-        if within(self._plan, CorruptReplies, t):
-            raise BadReply("the reply failed its checksum: the sample is dropped")
-        status = _GOOD
-        if self._answered is not None and within(self._plan, RepliesRepeat, t):
-            reading, status = self._answered, Status.STALE
-        self._answered = reading
-        if within(self._plan, TorqueUnreadable, t):
-            reading = reading._replace(motor_torque=math.nan, joint_torque=math.nan)
-        return reading, status
+        return Sample(sent, 0.5 * (sent + returned), *reading, Status.SATURATED if saturated else _GOOD)
 
     def disarm(self) -> None:
         """Switch the torque off. Raises DriverError if the drive does not confirm it; then its watchdog switches the
@@ -267,54 +229,24 @@ class SimServo:
         )
 
     def _torque_off(self, _request: int) -> None:
-        self._advance(self._reach())
+        self._advance(self.clock.now())
         self._under_way.clear()
         self._drive.disable()
-
-    def _reach(self) -> float:
-        """Return the present time, s, at which a request is sent. Raises LinkLost, and NoReply after the timeout if the
-        link is silent.
-        """
-        now = self.clock.now()
-        self._gate.require_open()
-        if now - self._opened >= self._link_ends:
-            raise LinkLost("the simulated link is gone: whether the motor is live is not known")
-        if within(self._plan, Silence, now - self._opened):
-            self._time_out(now)
-        return now
-
-    def _time_out(self, sent: float) -> None:
-        timeout = self._parameters.link.reply_timeout
-        self.clock.sleep_until(sent + timeout)
-        raise NoReply(f"no reply within {timeout * 1e3:.3g} ms")
 
     def _raise_fault(self) -> None:
         code = self._drive.fault
         if code == 0:
             return
-        known = code in list(FaultCode)
-        remedy = REMEDY[FaultCode(code)] if known else "see the drive's manual; the fault holds until the power is cut"
-        raise DeviceFault(code, f"the drive latched fault {code}: {remedy}")
+        raise DeviceFault(code, f"the drive latched fault {code}: {REMEDY[FaultCode(code)]}")
 
     def _advance(self, t: float) -> None:
-        """Simulate the drive up to the time `t` on the clock, with set-points and planned faults at their times."""
+        """Simulate the drive up to the time `t` on the clock, with set-points at their times."""
         until = t - self._opened
-        self._deliver(until)
+        self._take_over(until)
         self._drive.run(until)
 
-    def _deliver(self, until: float) -> None:
-        """Apply the set-points and planned faults that arrive up to `until`, s since the servo was opened."""
-        while self._ahead and self._ahead[0].at <= until:
-            fault = self._ahead.popleft()
-            self._take_over(fault.at)
-            self._drive.run(fault.at)
-            if isinstance(fault, FaultLatches):
-                self._drive.latch(fault.code)
-            else:
-                self._drive.freeze_encoder()
-        self._take_over(until)
-
     def _take_over(self, until: float) -> None:
+        """Apply the set-points that arrive up to `until`, s since the servo was opened."""
         while self._under_way and self._under_way[0][0] <= until:
             due, command = self._under_way.popleft()
             self._drive.follow(command, due)

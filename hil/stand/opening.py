@@ -41,7 +41,6 @@ def open_servo(
     truth: Mapping[str, float] = {}
     if name == "sim":
         from drivers.clock import VirtualClock
-        from sim_backend.faults import WatchdogBroken
         from sim_backend.servo import SimServo
 
         clock = MonotonicClock() if realtime else VirtualClock()
@@ -49,7 +48,7 @@ def open_servo(
             stand.simulated(),
             seed=seed,
             clock=clock,
-            faults=() if watched else (WatchdogBroken(),),
+            watched=watched,
             neighbours=stand.simulated_neighbours(),
         )
         servo, truth = cast("Servo", simulated), simulated.truth()

@@ -2,7 +2,7 @@
 
 All emulated links use this module. A fault begins after `after` more replies and lasts for `count` replies;
 `DropRequests` counts requests instead. The simulated servo has no link on a wire: its faults are in
-`sim_backend.faults`, and begin at a time.
+`sim_backend.faulty_servo`.
 """
 
 from __future__ import annotations

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import cast
 
+import numpy as np
 import pytest
 
 from drivers.clock import VirtualClock
@@ -13,6 +15,7 @@ from drivers.servo import (
     Command,
     DeviceFault,
     DriverError,
+    Limits,
     LinkLost,
     NoReply,
     Quantity,
@@ -48,19 +51,27 @@ def test_a_fault_that_lasts_goes_on_for_good() -> None:
     assert [number for number in range(1, 11) if plan.acting(LINK, number * 0.01, number)] == [6, 7, 8, 9, 10]
 
 
-def outcomes(kind: str, **settings: float) -> list[Sample | DriverError]:
-    """Ten exchanges at rest of the simulated servo, with a fault from the fifth on."""
-    clock = VirtualClock()
-    inner = cast("Servo", SimServo(SimParameters(), seed=0, clock=clock))
-    servo = FaultyServo(inner, FaultPlan([PlannedFault(kind, frame=5, **settings)]), lambda _: None)  # type: ignore[arg-type]
+def faulty(*faults: PlannedFault, watched: bool = True) -> tuple[FaultyServo, SimServo]:
+    """A simulated servo with faults, and the simulated servo inside it."""
+    inner = SimServo(SimParameters(), seed=0, clock=VirtualClock(), watched=watched)
+    return FaultyServo(cast("Servo", inner), FaultPlan(faults), lambda _: None), inner
+
+
+def exchanged(servo: FaultyServo, torque: float, ticks: int = 10) -> list[Sample | DriverError]:
+    """The outcomes of exchanges, one in 10 ms."""
     seen: list[Sample | DriverError] = []
-    for tick in range(10):
-        clock.sleep_until(0.01 * tick)
+    for tick in range(ticks):
+        servo.clock.sleep_until(0.01 * tick)
         try:
-            seen.append(servo.exchange(Command(Quantity.TORQUE, 0.0)))
+            seen.append(servo.exchange(Command(Quantity.TORQUE, torque)))
         except DriverError as error:
             seen.append(error)
     return seen
+
+
+def outcomes(kind: str, **settings: float) -> list[Sample | DriverError]:
+    """Ten exchanges at rest of the simulated servo, with a fault from the fifth on."""
+    return exchanged(faulty(PlannedFault(kind, frame=5, **settings))[0], 0.0)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -96,6 +107,40 @@ def test_old_late_and_wrong_readings_arrive_as_such() -> None:
     assert cast("Sample", outcomes("over-temperature", size=99.0)[-1]).temperature == 99.0
     noisy = [cast("Sample", one).motor_position for one in outcomes("noisy-encoder")]
     assert len(set(noisy[4:])) == 6
+
+
+@pytest.mark.parametrize("watched", [True, False])
+@pytest.mark.parametrize("kind", ["drop-request", "unplug", "bus-off", "ignored-off"])
+def test_a_torque_off_that_does_not_reach_the_drive_is_left_to_its_watchdog(
+    limits: Limits, kind: str, watched: bool
+) -> None:
+    servo, inner = faulty(PlannedFault(kind, at=0.05, duration=9.0), watched=watched)
+    servo.arm(limits)
+    exchanged(servo, 1e-3, ticks=6)
+    with suppress(DriverError):
+        servo.disarm()
+    servo.close()
+    assert inner.true_state().motor_torque > 0.9e-3
+    servo.clock.sleep_until(0.2)
+    assert (inner.true_state().motor_torque == 0.0) == (not inner.true_state().enabled) == watched
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_whatever_goes_wrong_the_torque_is_off_a_watchdog_after_closing(limits: Limits, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = sorted({*LINK, *DRIVE} - {"broken-watchdog"})
+    servo, inner = faulty(
+        *(
+            PlannedFault(str(rng.choice(kinds)), at=rng.uniform(0.0, 0.4), duration=rng.choice([0.04, math.nan]))
+            for _ in range(3)
+        )
+    )
+    servo.arm(limits)
+    exchanged(servo, 1e-3, ticks=40)
+    servo.close()
+    servo.clock.sleep_until(servo.clock.now() + inner.info.watchdog + 1e-3)
+    assert inner.true_state().motor_torque == 0.0
+    assert not inner.true_state().enabled
 
 
 def test_every_kind_can_happen_somewhere_on_a_wire_or_in_the_simulated_servo() -> None:

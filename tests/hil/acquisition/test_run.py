@@ -27,7 +27,6 @@ from hil.acquisition import run as run_module
 from hil.acquisition.commissioning import Commissioning
 from hil.acquisition.excitation import Profile
 from hil.acquisition.interrupt import ending
-from hil.acquisition.phases import Outcome
 from hil.acquisition.run import run
 from hil.acquisition.setpoints import SetPoints
 from hil.cli import app as cli
@@ -37,7 +36,7 @@ from hil.recording.channels import TorqueScale
 from hil.recording.reader import Recording
 from hil.recording.writer import Header, RecordingWriter
 from hil.stand.file import SIMULATED, parse
-from sim_backend.faults import EncoderFreezes, Fault, LinkDrops, RepliesRepeat, Silence
+from sim_backend.fault_plan import FaultPlan, PlannedFault
 from sim_backend.parameters import SimParameters
 from sim_backend.servo import SimServo
 
@@ -245,25 +244,6 @@ def test_whatever_fails_at_whichever_call_the_torque_is_off_and_the_rows_are_the
     assert len(servo.driven) == 4
 
 
-@pytest.mark.parametrize(
-    ("fault", "status"),
-    [(LinkDrops(1.0), 3), (EncoderFreezes(1.0), 3), (RepliesRepeat(1.0, 2.0), 3)],
-    ids=lambda value: type(value).__name__,
-)
-def test_what_goes_wrong_on_the_simulated_stand_ends_the_run_and_the_torque(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, fault: Fault, status: int
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    servo = SimServo(SimParameters(), seed=1, clock=VirtualClock(), faults=(fault,))
-    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
-    assert cli.run(["record", "--backend", "sim", "--duration", "4", "-o", "a.h5"]) == status
-    with Recording(tmp_path / "a.h5") as recording:
-        assert not recording.complete
-        assert 400 < len(recording) < 800
-    servo.clock.sleep_until(servo.clock.now() + 0.1)  # what cannot be shown to stop is stopped by its watchdog
-    assert not servo.true_state().enabled
-
-
 def test_a_torque_off_that_is_not_confirmed_is_reported_first(
     spring: SpringServo, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -469,13 +449,17 @@ def test_a_signal_before_the_start_records_nothing(
 @pytest.mark.parametrize(
     "fault",
     [
+        ("unplug", 3, "CUT THE POWER: the torque-off is not confirmed (the link is gone"),
+        ("duplicate", 3, "own clock did not advance in 25 replies"),
         ("stuck-encoder", 3, "angle did not change"),
+        ("error", 3, "latched fault 16"),
+        ("flip", 3, "no reply for 10 ticks in a row"),
         ("over-temperature", 4, "winding reached 150"),
         ("disk-full", 1, "disk is full, as planned"),
         ("kill", None, ""),
     ],
 )
-def test_a_planned_fault_happens_in_a_run(
+def test_a_planned_fault_ends_the_run_and_the_torque(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
@@ -483,7 +467,8 @@ def test_a_planned_fault_happens_in_a_run(
 ) -> None:
     kind, status, words = fault
     monkeypatch.chdir(tmp_path)
-    Path("plan.toml").write_text(f'[[fault]]\nkind = "{kind}"\nat = 1.0\n')
+    servo = simulated(monkeypatch, watched=kind == "unplug")
+    Path("plan.toml").write_text(f'[[fault]]\nkind = "{kind}"\nat = 1.0\ncount = 50\n')
     given = ["record", "--backend", "sim", "--duration", "2", "--faults", "plan.toml", "-o", "a.h5"]
     if status is None:
         assert exit_status(copied(lambda: cli.run(given))) == -signal.SIGKILL
@@ -493,7 +478,10 @@ def test_a_planned_fault_happens_in_a_run(
     assert cli.run(given) == status
     assert words in capfd.readouterr().err
     with Recording(Path("a.h5")) as recording:
+        assert not recording.complete
         assert 450 <= len(recording) <= 750
+    servo.clock.sleep_until(servo.clock.now() + 0.1)  # only the watchdog can stop a motor whose link is gone
+    assert not servo.true_state().enabled
 
 
 def test_a_disk_that_does_not_answer_in_virtual_time_is_refused_before_anything_moves(
@@ -656,16 +644,7 @@ def test_an_interrupted_torque_off_is_retried_until_the_silence_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    servo = SimServo(SimParameters(), seed=1, clock=VirtualClock(), faults=(Silence(1.0, 1.06),))
-    outcome = run_on(servo, monkeypatch)
-    assert isinstance(outcome.error, NoReply)
-    assert outcome.alarm == ""
-    assert not servo.true_state().enabled
-    assert servo.clock.now() < 1.1  # before the watchdog would have done it
-
-
-def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> Outcome:
-    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
+    servo = simulated(monkeypatch)
     stand = parse(
         '[stand]\nbackend = "sim"\ngear_ratio = 4.0\ntorque_source = "joint"\n'
         "[limits]\ntorque = 0.03\ndeflection = 1.0\nvelocity = 100.0\n"
@@ -673,4 +652,16 @@ def run_on(servo: SimServo, monkeypatch: pytest.MonkeyPatch) -> Outcome:
     made = excitation.make(
         "sine", Quantity.TORQUE, amplitude=0.005, default_amplitude=1.0, duration=4.0, band=(2.0, 2.0), rate=500.0
     )
-    return run(stand, made, rate=500.0, seed=0, output=Path("a.h5"))[1]
+    faults = FaultPlan([PlannedFault("drop-request", at=1.0, duration=0.06)])
+    outcome = run(stand, made, rate=500.0, seed=0, output=Path("a.h5"), faults=faults)[1]
+    assert isinstance(outcome.error, NoReply)
+    assert outcome.alarm == ""
+    assert not servo.true_state().enabled
+    assert servo.clock.now() < 1.1  # before the watchdog would have done it
+
+
+def simulated(monkeypatch: pytest.MonkeyPatch, *, watched: bool = True) -> SimServo:
+    """The simulated servo that every stand opens. watched: whether its watchdog works."""
+    servo = SimServo(SimParameters(), seed=1, clock=VirtualClock(), watched=watched)
+    monkeypatch.setattr(run_module, "open_servo", lambda *_, **__: (servo, {}))
+    return servo
