@@ -336,8 +336,9 @@ def _why_illegible(path: Path) -> str:
             return "is cut off or damaged: copy it again from where it was recorded, or use another copy"
     if not first:
         return "is empty: use another copy"
-    hint = f"a stand file is named with --stand {quoted(path)}" if path.suffix == ".toml" else None
-    return f"is not HDF5: {hint or 'bring CSV data in with `hil import`'}"
+    if path.suffix == ".toml":
+        return f"is no recording: if it is a stand file, `hil record --stand {quoted(path)}` makes one"
+    return "is not HDF5: bring CSV data in with `hil import`"
 
 
 def refuse_foreign_storage(file: h5py.File, path: Path) -> None:
