@@ -26,6 +26,8 @@ from unittest.mock import patch
 import numpy as np
 import replay
 
+from hil.identification.misfit import regressors
+
 RESULTS = Path(__file__).parent / "results" / "ablation.csv"
 HEAD = ("without", "recordings", "differ", *replay.OUTCOMES, "needless", "hold", "of", "Kc_width", "Bc_width", "time")
 BASE = "base"
@@ -51,11 +53,20 @@ def _first(first: Any, *_: object, **__: object) -> Any:
     return first
 
 
+def _without_place(found: Any) -> Any:
+    """Return regressors or cuts without those by angle, amplitude and direction."""
+    left_out = {"angle", "amplitude", "direction"}
+    if isinstance(found, dict):
+        return {code: columns for code, columns in found.items() if code not in left_out}
+    return [one for one in found if one[0] not in left_out]
+
+
 def _second(_: object, second: Any, *__: object, **___: object) -> Any:
     return second
 
 
 _IDENTIFY, _AVERAGE = "hil.identification.identify", "hil.identification.mixture.average"
+_LACK_OF_FIT = "hil.identification.misfit.lack_of_fit"
 _DEFLECTION = "hil.identification.deflection.correction"
 SWITCHES: dict[str, tuple[Switch, ...]] = {
     BASE: (),
@@ -73,6 +84,10 @@ SWITCHES: dict[str, tuple[Switch, ...]] = {
     "rare terms": (("hil.identification.candidates.choice:_describes", lambda *_: True),),
     "rare terms only if asked for": (("hil.identification.candidates.choice:_describes", lambda *_: False),),
     "test of the residuals": ((f"{_IDENTIFY}:tested", _nothing),),
+    "tests by angle, amplitude and direction": (
+        (f"{_LACK_OF_FIT}:cuts", lambda *given: _without_place(regressors.cuts(*given))),
+        (f"{_LACK_OF_FIT}:regressors", lambda *given: _without_place(regressors.regressors(*given))),
+    ),
     "a misfit widens": ((f"{_IDENTIFY}:with_misfit", _first),),
     "span of a spring that stiffens": ((f"{_IDENTIFY}:span_met", _nothing),),
     "smooth part of a held torque": (("hil.signals.defects:smooth_torque", _first),),

@@ -239,6 +239,7 @@ ROUNDS = 4  # rounds of search and fit, at most
 FITTED = 2  # candidates of different terms that a round fits
 STOP = 30.0  # times the stiffness in one direction, from which a spring is a stop in the other
 GAP_OF_NOISE = 6.0  # standard deviations from the outermost reading, within which a gap fits errors of a joint at rest
+SEARCH_BLOCKS = 20  # blocks in time, which give the number of independent samples of a search
 STRONG = 6.0  # twice the log odds from which evidence is strong (Kass and Raftery 1995): a grid value costs less
 OCCAM = 2.0 * STRONG  # of the best score, below which a candidate is not expanded (Madigan and Raftery 1994)
 VERY_STRONG = 10.0  # the same that a rare term, one with a break and one that the search did not propose must exceed

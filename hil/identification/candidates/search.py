@@ -50,13 +50,13 @@ class Score:
         would. The spread is the ratio of the two variances.
         """
         table = table / (np.sqrt((table**2).mean(axis=1, keepdims=True)) + np.finfo(float).tiny)
-        parts = np.array_split(table * residuals, c.BLOCKS, axis=1)
+        parts = np.array_split(table * residuals, c.SEARCH_BLOCKS, axis=1)
         scores = np.array([part.sum(axis=1) for part in parts])
         scores -= scores.mean(axis=0)
         power = float(residuals @ residuals) / len(residuals)
         inverse = np.linalg.pinv(table @ table.T, rcond=1e-9, hermitian=True)
         varied = float(np.trace(inverse @ scores.T @ scores)) / (len(table) * max(power, np.finfo(float).tiny))
-        return cls(len(residuals), max(1.0, varied * c.BLOCKS / (c.BLOCKS - 1)))
+        return cls(len(residuals), max(1.0, varied * c.SEARCH_BLOCKS / (c.SEARCH_BLOCKS - 1)))
 
 
 def odds(terms: Iterable[str]) -> float:
