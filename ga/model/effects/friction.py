@@ -24,12 +24,12 @@ ranges of the motion.
 
 FALLS: Final = (0.02, 1.5)
 """The smallest and the largest rate over which friction falls from its value at rest, relative to the rate that
-dominates damping (`felt`).
+dominates damping (`rate_of_damping`).
 """
 
 TURNS: Final = (0.002, 0.6)
 """The smallest and the largest rate over which friction reverses smoothly, relative to the rate that dominates damping
-(`felt`). Above the largest, such friction equals damping.
+(`rate_of_damping`). Above the largest, such friction equals damping.
 """
 
 _SLOW: Final = 1e-4  # rate over vr, below which both forms of friction are in proportion to it
@@ -64,16 +64,18 @@ def capstan_bounds(motion: Motion, _highest: float) -> tuple[tuple[float, float]
     return (0.0, MOST_FRICTION), (least - beyond, most + beyond)
 
 
-def felt(rate: Array) -> float:
+def rate_of_damping(rate: Array) -> float:
     """Return the rate, rad/s, that dominates damping: the r.m.s. of rates (n,), weighted by their squares."""
     return float(((rate**4).sum() / (rate**2).sum()) ** 0.5) if rate.any() else 0.0
 
 
 def over_rates(least: float, most: float) -> Bounds:
     """Return the bounds of a rate, rad/s, over which friction changes. least, most: the bounds relative to the rate
-    `felt`.
+    `rate_of_damping`.
     """
-    return lambda motion, _highest: ((least * felt(motion.dtheta_dot), most * felt(motion.dtheta_dot)),)
+    return lambda motion, _highest: (
+        (least * rate_of_damping(motion.dtheta_dot), most * rate_of_damping(motion.dtheta_dot)),
+    )
 
 
 def _rooted(motion: Motion, columns: Mapping[Parameter, Array], values: Mapping[Parameter, float]) -> Array:

@@ -58,7 +58,7 @@ def _sharpened(search: PointSearch, fit: BandFit) -> PointSearch:
     """Return the search with the noise model of a fit, and with the fitted values of each term that may help alone."""
     catalogue = search.catalogue
     search = _learned(catalogue, fit)
-    alone, fits = search.showing(), _fits(search)
+    alone, fits = search.helping_alone(), _fits(search)
     for candidate in alone:
         one = _fitted(search, fits, candidate)
         catalogue.add_values(one.terms, one.values)
@@ -66,7 +66,10 @@ def _sharpened(search: PointSearch, fit: BandFit) -> PointSearch:
 
 
 def _learned(catalogue: Catalogue, fit: BandFit) -> PointSearch:
-    """Return the search with the noise model of a fit, and with delays and lags of the torque of this fit."""
+    """Return the search with the noise model of a fit, and with delays and lags of the torque of this fit.
+
+    It changes the catalogue, to which terms of the torque's channel are added only here.
+    """
     catalogue.band = catalogue.band.with_noise(fit.residuals)
     catalogue.read(_coupling_torque(catalogue, fit))
     search = PointSearch(catalogue)

@@ -190,7 +190,7 @@ class PointSearch:
         self.score = Score.measured(self._columns[at], self._target - factors @ self._columns[at])
         self._seen.clear()
 
-    def showing(self) -> list[Points]:
+    def helping_alone(self) -> list[Points]:
         """Return candidates of one point: the best of each term that has nonlinear parameters and may help alone."""
         likely = self._best_of_kinds(self.beside(()), self.rated(()) + c.STRONG, 1)
         return [(number,) for number in likely if self.points[number].values]

@@ -139,23 +139,23 @@ def _grid(motion: Motion, parameter: Parameter) -> tuple[float, ...]:
     return (0.0 if parameter.place else max(c.SHORT_LAG, shortest),)
 
 
-def _of_term(term: Term, motion: Motion, torque: Array, model: Array) -> Iterator[Array]:
-    """Yield the columns (n, k) of a term that a model with the torque (n,), N m, lacks."""
+def _of_term(term: Term, motion: Motion, measured: Array, modelled: Array) -> Iterator[Array]:
+    """Yield the columns (n, k) of a term that a model lacks. measured, modelled (n,): torque, N m."""
     grids = [_grid(motion, parameter) for parameter in term.parameters if parameter.nonlinear]
     regressors = partial(
         Regressors, progress(motion), motion, contact=np.ones(len(motion)), load=None, damped=True, middle=0.0,
         smoothing=_softness(motion),
     )  # fmt: skip
     if term.delays:
-        yield _columns(motion.slope(_smooth(motion, model)))
+        yield _columns(motion.slope(_smooth(motion, modelled)))
     elif term.load is not None:
-        yield _columns(np.abs(model - np.median(model)) * direction(motion))
+        yield _columns(np.abs(modelled - np.median(modelled)) * direction(motion))
     elif term.cell is not None:
-        smooth = _smooth(motion, model)
+        smooth = _smooth(motion, modelled)
         for own in product(*grids):
             yield _columns(term.cell(motion, smooth, np.array(own)) - smooth)
     else:
-        for angle, own in product(_angles(term, motion, torque), product(*grids)):
+        for angle, own in product(_angles(term, motion, measured), product(*grids)):
             values = np.array(own)
             if term.remaining is not None:
                 yield _columns(angle - term.remaining(angle, values))

@@ -118,7 +118,7 @@ class _Tests:
             samples=len(self._motion),
             lags=lags,
             correlation=correlation,
-            plane=mean_over_plane(self._motion, self.tested.scores),
+            plane=mean_over_plane(self._motion, self.tested.clipped),
             predicted=predicted,
             unexplained=self._of_torque(share, predicted),
             at_zero=(float(self._at_zero[0]), float(self._at_zero[1])),
@@ -282,16 +282,18 @@ class _Tests:
         return tuple(name for name, is_beyond in zip(c.COUPLING, beyond.tolist(), strict=True) if is_beyond)
 
     def _correlation(self) -> tuple[Array, Array]:
-        """Return the correlation (l, 2) of the scores with deflection and rate at lags (l,) s, from -0.1 to 0.3 s."""
+        """Return lags (l,), s, and the correlation (l, 2) of the clipped residuals with deflection and rate that
+        much earlier.
+        """
         lags = c.LAGS
-        size = float(np.linalg.norm(self.tested.scores))
+        size = float(np.linalg.norm(self.tested.clipped))
         found = [[self._alike(values, lag) / size for values in self._coupling.T] for lag in lags.tolist()]
         return lags, np.array(found)
 
     def _alike(self, values: Array, lag: float) -> float:
         then = delayed(self._motion, values - values.mean(), lag)
         size = float(np.linalg.norm(then))
-        return float(self.tested.scores @ then) / size if size > 0.0 else 0.0
+        return float(self.tested.clipped @ then) / size if size > 0.0 else 0.0
 
 
 def _fewer(fitted: Residuals) -> Residuals:

@@ -15,14 +15,14 @@ from hil.signals import constants as c
 class Scores:
     """The residuals of a fit, with which features are compared.
 
-    scores (n,): the residuals with outliers clipped, N m. residuals (n,): the residuals with only gross outliers
+    clipped (n,): the residuals with outliers clipped, N m. residuals (n,): the residuals with only gross outliers
     clipped, N m, for the sizes of effects. Both are orthogonal to the model's columns, and zero at samples that the
     model does not describe.
     """
 
     def __init__(self, residuals: Array, columns: Array, kept: Mask) -> None:
         self._basis, self._kept = _basis(columns), kept[:, None]
-        self.scores = _clipped(residuals, self._basis, kept, c.CLIPPED)
+        self.clipped = _clipped(residuals, self._basis, kept, c.CLIPPED)
         self._left = residuals
 
     @cached_property
@@ -35,7 +35,7 @@ class Scores:
     @cached_property
     def _firsts(self) -> Index:
         """The first rows of the blocks."""
-        return _blocks(self.scores)
+        return _blocks(self.clipped)
 
     def new(self, features: Array) -> Array:
         """Return the part of features (n, k) that is orthogonal to the model's columns, scaled to mean square one.
@@ -57,7 +57,7 @@ class Scores:
         """Return the probability that features (n, k) have scores this large by chance."""
         if not features.shape[1]:
             return 1.0
-        sums = np.add.reduceat(features * self.scores[:, None], self._firsts, axis=0)
+        sums = np.add.reduceat(features * self.clipped[:, None], self._firsts, axis=0)
         values, vectors = np.linalg.eigh(features.T @ features)
         whitened = sums @ (vectors / np.sqrt(values.clip(0.0) + c.RIDGES[1] * values.mean()))
         total = float(np.sum(whitened.sum(axis=0) ** 2))
@@ -71,10 +71,10 @@ class Scores:
         size of that part, N m r.m.s.
         """
         fold = np.arange(len(features)) * c.FOLDS // len(features)
-        parts = [(features[fold == k], self.scores[fold == k]) for k in range(c.FOLDS)]
+        parts = [(features[fold == k], self.clipped[fold == k]) for k in range(c.FOLDS)]
         grams = np.array([part.T @ part for part, _ in parts])
         sums = np.array([part.T @ left for part, left in parts])
-        power, best = float(self.scores @ self.scores), 0.0
+        power, best = float(self.clipped @ self.clipped), 0.0
         for ridge in c.RIDGES:
             penalty = ridge * len(features) * np.eye(features.shape[1])
             weights = np.linalg.solve(grams.sum(axis=0) - grams + penalty, (sums.sum(axis=0) - sums)[:, :, None])

@@ -30,7 +30,7 @@ import numpy as np
 from ga.arrays import Array
 from ga.lad.exact import least_absolute_deviations
 from ga.model.coupling import parse
-from ga.model.effects.friction import felt
+from ga.model.effects.friction import rate_of_damping
 from ga.model.effects.hysteresis import REACHES
 from ga.model.effects.springs import SHORTEST_RELAXATION
 from ga.model.memory import falls
@@ -105,7 +105,7 @@ def _falling(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     friction = sum(values[name] * largest.columns[:, largest.names.index(name)] for name in rubs)
     # the fit is linearised, and may lie beyond the bounds
     reach = max(size_of(values, "presliding length"), REACHES[0] * float(np.ptp(motion.dtheta)))
-    for over in (part * felt(motion.dtheta_dot) for part in c.FALLS_OVER):
+    for over in (part * rate_of_damping(motion.dtheta_dot) for part in c.FALLS_OVER):
         column = friction * falls(seen.dtheta_dot, over)[rows]
         if builds_up:
             more = seen.bristles(reach, c.RISE, over) - seen.presliding(reach)
@@ -116,7 +116,7 @@ def _falling(largest: Largest, selected: Selected) -> Iterator[Hidden]:
 def _growing(largest: Largest, selected: Selected) -> Iterator[Hidden]:
     """Yield damping that grows with the rate, if the model has none."""
     (grows,) = of_role("damping")
-    usual, damping = felt(selected.data.motion.dtheta_dot), float(largest.values[largest.names.index("Bc")])
+    usual, damping = rate_of_damping(selected.data.motion.dtheta_dot), float(largest.values[largest.names.index("Bc")])
     if is_addable(grows, selected.model.name.split("+")) and damping > 0.0 and usual > 0.0:
         yield Hidden(_column(grows, selected, {}), c.GROWTH * damping / usual, c.ONE_IN_TEN)
 
