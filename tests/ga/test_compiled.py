@@ -292,7 +292,7 @@ def test_the_working_directory_says_nothing_of_where_machine_code_is(
     run = subprocess.run([sys.executable, "-c", ASK], capture_output=True, text=True, check=True, env=env)
     assert answered(run.stdout) == (2.0, False)
     assert (tmp_path / "cache").exists()
-    monkeypatch.setattr("ga.compiled._appdirs.user_cache_dir", lambda *_, **__: "~/.cache/hil")
+    monkeypatch.setattr("ga.machine_code._appdirs.user_cache_dir", lambda *_, **__: "~/.cache/hil")
     assert cache_folder(package) == package / "__pycache__" / next((package / "__pycache__").glob("joint-*")).name
     assert not Path("planted").exists()
     assert not Path("~").exists()

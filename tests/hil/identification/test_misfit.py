@@ -250,8 +250,8 @@ def test_an_angle_that_wraps_freezes_or_has_spikes_is_mended_with_a_warning(
         ("invalid-readings", np.where(time > 2.2, deflection[1101], deflection)),
         ("invalid-readings", deflection + np.where(np.arange(len(time)) % 601 == 300, 0.1, 0.0)),
     ]
-    for code, angle in faulty:
-        path = written(tmp_path / f"{code}.h5", plain(time), angle)
+    for number, (code, angle) in enumerate(faulty):
+        path = written(tmp_path / f"{number}.h5", plain(time), angle)
 
         status, found = identified(capfd, path, "--model", "linear+offset")
 
