@@ -234,6 +234,9 @@ _STATUS = ((Status(0), Status.SATURATED), (Status.STALE, Status.STALE | Status.S
 class DriveServo(ABC):
     """A `drivers.servo.Servo` behind its gate: what is the same in all families of drives.
 
+    A base class and no wrapper, because what a drive can do besides, such as naming its neighbours, is asked of the
+    servo itself.
+
     A family opens and identifies its drive in `__init__`, makes `_gate`, sets `info`, and implements `_arm` and
     `_exchange`. sign: 1 if the drive's positive direction is the stand's, else -1. clock: None for the real clock.
 
