@@ -258,14 +258,15 @@ def optimum_lines(found: Identification) -> list[str]:
 
 
 def _width_lines(found: Identification) -> list[str]:
-    """Return for Kc and Bc a line that says what makes the interval wide, in percent of the value, most first."""
+    """Return for Kc and Bc a line that says what makes the interval wide, in percent of the value, the largest part
+    first."""
     lines = []
     for estimate in found.estimates[:2]:
-        if estimate.value and math.isfinite(estimate.half_width):
+        if estimate.value and estimate.widths and math.isfinite(estimate.half_width):
             percent = 100.0 / abs(estimate.value)
             widths = sorted(estimate.widths.items(), key=lambda one: -one[1])
             parts = ", ".join(f"{source} {half * percent:.2g} %" for source, half in widths)
-            lines.append(f"{estimate.name} is known within {estimate.half_width * percent:.2g} %: {parts}")
+            lines.append(f"half the interval of {estimate.name} is {estimate.half_width * percent:.2g} %: {parts}")
     return lines
 
 

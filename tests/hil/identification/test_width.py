@@ -42,7 +42,7 @@ def test_the_sources_of_an_interval_make_the_whole_of_it_and_are_printed_the_lar
         scale, misfit = parts.pop("torque's scale"), parts.pop("misfit of the model", 0.0)
         assert math.hypot(misfit + math.hypot(*parts.values()), scale) == pytest.approx(estimate.half_width, rel=1e-6)
         assert as_json(found)["parameters"][name]["widths"] == pytest.approx(estimate.widths)
-        line = next(one for one in identification_lines(found) if one.startswith(f"{name} is known within"))
+        line = next(one for one in identification_lines(found) if one.startswith(f"half the interval of {name} is "))
         said = [float(part.split()[-2]) for part in line.split(": ")[1].split(", ")]
         assert said == sorted(said, reverse=True)
         assert said[0] == pytest.approx(100.0 * max(estimate.widths.values()) / estimate.value, rel=0.06)
